@@ -1,0 +1,46 @@
+"""mixer-torch: who is who, when objects were seen in many views and compared in many ways.
+
+Observations are scored in pairs by scorers, one for each modality; a solver turns the scores into
+clusters that are cycle consistent, one-to-one and distinct within each view:
+
+    import mixer_torch as mx
+
+    affinity = mx.score(observations, scorers)
+    association = mx.solve(affinity, mx.Mixer())
+"""
+
+from mixer_torch.affinity import Affinity
+from mixer_torch.association import Association, Status
+from mixer_torch.fusion import Fusion, LinearFusion, LogOddsFusion
+from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
+from mixer_torch.pairs import Every, Nearest, PairSelector, Within
+from mixer_torch.pipeline import associate
+from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer, score
+from mixer_torch.solvers.base import Solver, solve
+from mixer_torch.solvers.mixer import Mixer
+
+__all__ = [
+    "Affinity",
+    "Association",
+    "Calibrated",
+    "Calibrator",
+    "Every",
+    "FolderFrames",
+    "FunctionScorer",
+    "Fusion",
+    "Images",
+    "LinearFusion",
+    "LogOddsFusion",
+    "Mixer",
+    "Nearest",
+    "Observations",
+    "PairSelector",
+    "Scorer",
+    "Solver",
+    "Status",
+    "VideoFrames",
+    "Within",
+    "associate",
+    "score",
+    "solve",
+]

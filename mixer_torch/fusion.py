@@ -1,0 +1,78 @@
+"""From l scores a pair to one cost a pair."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class Fusion(nn.Module):
+    """How scores of several modalities become the cost of calling a pair the same.
+
+    Args:
+        weights: Non-negative weight by name of modality; 1 where none is given.
+
+    Raises:
+        ValueError: A weight is negative or not finite.
+    """
+
+    def __init__(self, weights: Mapping[str, float] | None = None) -> None:
+        super().__init__()
+        self.weights = dict(weights or {})
+        for name, weight in self.weights.items():
+            if not 0 <= weight < float("inf"):
+                raise ValueError(f"weights[{name!r}]: expected a finite number >= 0, got {weight}")
+
+    def weight(
+        self, scores: Float[Tensor, "l P"], modalities: Sequence[str]
+    ) -> Float[Tensor, " l"]:
+        """The weight of each modality; KeyError names a weight for none of them."""
+        for name in self.weights:
+            if name not in modalities:
+                raise KeyError(
+                    f"weights: no modality {name!r}; modalities: {', '.join(modalities)}"
+                )
+        return scores.new_tensor([self.weights.get(name, 1.0) for name in modalities])
+
+    def forward(
+        self, scores: Float[Tensor, "l P"], modalities: Sequence[str]
+    ) -> Float[Tensor, " P"]:
+        """Weighted sum of the modalities' costs: negative attracts, 0 is indifferent."""
+        cost = torch.zeros_like(scores[0])
+        for weight, row in zip(self.weight(scores, modalities), scores, strict=True):
+            cost = cost + weight * self.cost_of(row)
+        return cost
+
+    @abstractmethod
+    def cost_of(self, score: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
+        """Cost of one modality's scores: decreasing, and 0 at 0.5."""
+
+
+class LinearFusion(Fusion):
+    """The paper's: cost = sum_k w_k (1 - 2 s_k), from the Frobenius objective of its eq. (1)."""
+
+    def cost_of(self, score: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
+        return 1 - 2 * score
+
+
+class LogOddsFusion(Fusion):
+    """Naive Bayes: cost = -sum_k w_k logit(s_k), the negative log likelihood ratio.
+
+    Args:
+        weights: Non-negative weight by name of modality; 1 where none is given.
+        cap: Largest log likelihood ratio that one modality may claim, in nats, so that no score
+            of 0 or 1 outvotes all others.
+    """
+
+    def __init__(self, weights: Mapping[str, float] | None = None, cap: float = 4.0) -> None:
+        super().__init__(weights)
+        if not 0 < cap < float("inf"):
+            raise ValueError(f"cap: expected a finite number > 0, got {cap}")
+        self.cap = cap
+
+    def cost_of(self, score: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
+        return -torch.logit(score, eps=torch.finfo(score.dtype).eps).clamp(-self.cap, self.cap)

@@ -1,0 +1,1 @@
+"""Scorers, one modality a file. Each is also ``scorers.<Class>``."""

@@ -1,0 +1,1 @@
+"""Training of what can be learned, with Lightning. Nothing imports this package."""
