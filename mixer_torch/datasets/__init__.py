@@ -1,0 +1,6 @@
+"""Datasets: one format a file, each read into observations."""
+
+from mixer_torch.datasets.base import Dataset
+from mixer_torch.datasets.motchallenge import MOTChallenge
+
+__all__ = ["Dataset", "MOTChallenge"]
