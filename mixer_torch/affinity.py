@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 from torch import Tensor
 
 from mixer_torch.observations import integers, load_npz, save_npz
@@ -72,7 +73,11 @@ class Affinity:
 
     @classmethod
     def from_dense(
-        cls, scores: Any, view: Any, modalities: Sequence[str] | None = None
+        cls,
+        scores: Any,
+        view: Any,
+        modalities: Sequence[str] | None = None,
+        indistinct: Any = None,
     ) -> Affinity:
         """From full matrices, with every pair across views listed.
 
@@ -81,11 +86,14 @@ class Affinity:
                 within a view are ignored.
             view: (m,) the set of each observation.
             modalities: l names; ``score_0``, … if None.
+            indistinct: Views in which distinctness does not hold: their observations get view -1,
+                which is none, so that the pairs within them are listed too.
 
         Raises:
             ValueError: The shape is wrong, a matrix is not symmetric, or a score is out of range.
         """
         view = integers("view", view)
+        view = view if indistinct is None else waive(view, indistinct)
         scores = torch.as_tensor(scores)
         scores = scores if scores.is_floating_point() else scores.float()
         scores = scores[None] if scores.ndim == 2 else scores
@@ -102,9 +110,8 @@ class Affinity:
         pairs = pairs[:, ~within_view(view, pairs)]
         upper, lower = scores[:, pairs[0], pairs[1]], scores[:, pairs[1], pairs[0]]
         if not torch.allclose(upper, lower, rtol=0, atol=1e-5, equal_nan=True):
-            modality, pair = np.unravel_index(
-                int((upper - lower).abs().nan_to_num(torch.inf).argmax()), upper.shape
-            )
+            worst = int((upper - lower).abs().nan_to_num(torch.inf).argmax())
+            modality, pair = divmod(worst, upper.shape[1])
             a, b = pairs[:, pair].tolist()
             raise ValueError(
                 f"scores: expected symmetric matrices, got {upper[modality, pair].item()} at "
@@ -168,8 +175,8 @@ class Affinity:
     def load(cls, path: str | Path) -> Affinity:
         """Read what :meth:`save` wrote."""
         arrays = load_npz(path, FORMAT)
-        tensors = (torch.from_numpy(arrays[name]) for name in ("pairs", "scores", "view"))
-        return cls(*tensors, tuple(str(name) for name in arrays["modalities"]))
+        pairs, scores, view = (torch.from_numpy(arrays[k]) for k in ("pairs", "scores", "view"))
+        return cls(pairs, scores, view, tuple(str(name) for name in arrays["modalities"]))
 
 
 def check_pairs(pairs: Tensor, view: Tensor) -> None:
@@ -192,6 +199,19 @@ def check_pairs(pairs: Tensor, view: Tensor) -> None:
     repeated = torch.zeros_like(key.values, dtype=torch.bool)
     repeated[key.indices[1:]] = key.values[1:] == key.values[:-1]
     _refuse(pairs, repeated, "expected each pair once")
+
+
+def waive(view: Int64[Tensor, " m"], indistinct: Any) -> Int64[Tensor, " m"]:
+    """Views with those in which distinctness does not hold set to -1, which is no view.
+
+    Raises:
+        ValueError: Not integers, or a view that no observation has.
+    """
+    waived = integers("indistinct", indistinct).to(view.device)
+    absent = waived[~torch.isin(waived, view)]
+    if len(absent):
+        raise ValueError(f"indistinct: no observation is of view {int(absent[0])}")
+    return torch.where(torch.isin(view, waived), -1, view)
 
 
 def _refuse(pairs: Tensor, wrong: Tensor, expected: str) -> None:

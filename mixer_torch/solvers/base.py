@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, overload
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, overload
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.fusion import Fusion
 from mixer_torch.observations import distinct_views
+from mixer_torch.solvers.constraints import Reduction, constrain
 
 
 @dataclass(frozen=True)
@@ -31,16 +32,52 @@ class Problem:
         view: (m,) int64 >= 0.
         score: (P,) the mean of the modalities' scores, for algorithms that know only one score
             a pair. It is 0.5 where the paper's cost is 0: mean = (1 - cost / l) / 2.
+        tokens: (2, K) int64, or None where each node has one view and ``view`` says it all. Where
+            must-link or cannot-link pairs are given, a node is a group of observations with a set
+            of views: column (a, t) says that node a has token t, and two nodes with a token in
+            common may not share a cluster. ``view`` is then 0..m-1 and says nothing. Only a
+            solver whose class says ``takes_tokens`` is given such a problem.
     """
 
     pairs: Int64[Tensor, "2 P"]
     cost: Float[Tensor, " P"]
     view: Int64[Tensor, " m"]
     score: Float[Tensor, " P"]
+    tokens: Int64[Tensor, "2 K"] | None = None
 
     def __len__(self) -> int:
         """m, the number of observations."""
         return len(self.view)
+
+    @property
+    def incidence(self) -> Int64[Tensor, "2 K"]:
+        """(2, K) which node has which token, whether they are sets of views or views."""
+        if self.tokens is not None:
+            return self.tokens
+        return torch.stack([torch.arange(len(self), device=self.view.device), self.view])
+
+    def apart(self) -> Bool[Tensor, "m m"]:
+        """Which nodes may not share a cluster (P_d of the paper): those with a common token."""
+        if self.tokens is None:
+            apart = self.view[:, None] == self.view
+        else:
+            token = torch.unique(self.tokens[1], return_inverse=True)[1]
+            has = self.cost.new_zeros(len(self), int(token.max()) + 1 if len(token) else 0)
+            has[self.tokens[0], token] = 1
+            apart = has @ has.T > 0
+        return apart.fill_diagonal_(False)
+
+    def simplified(self) -> Problem:
+        """The same problem without tokens that only one node has, as plain views if possible."""
+        if self.tokens is None:
+            return self
+        token, size = torch.unique(self.tokens[1], return_inverse=True, return_counts=True)[1:]
+        node, token = self.tokens[0][size[token] > 1], token[size[token] > 1]
+        if len(node) and int(torch.bincount(node).max()) > 1:
+            return replace(self, tokens=torch.stack([node, token]))
+        view = torch.full_like(self.view, -1)
+        view[node] = token
+        return replace(self, view=distinct_views(view), tokens=None)
 
     def dense_cost(self) -> Float[Tensor, "m m"]:
         """The symmetric matrix Ā of fused costs, 0 on the diagonal and within views."""
@@ -62,7 +99,14 @@ class Solution:
 
 
 class Solver(ABC):
-    """An algorithm. Its constructor takes the knobs; :func:`solve` does the rest."""
+    """An algorithm. Its constructor takes the knobs; :func:`solve` does the rest.
+
+    ``takes_tokens`` says whether it can solve a problem whose nodes have sets of views, which is
+    what must-link and cannot-link pairs lead to. One that cannot is only given such constraints
+    where each group of linked observations is of one view at most.
+    """
+
+    takes_tokens: ClassVar[bool] = False
 
     @abstractmethod
     def run(self, problem: Problem) -> Solution:
@@ -75,16 +119,35 @@ class Solver(ABC):
 
 @overload
 def solve(
-    affinity: Affinity, solver: Solver | None = None, fusion: Fusion | None = None
+    affinity: Affinity,
+    solver: Solver | None = None,
+    fusion: Fusion | None = None,
+    *,
+    must_link: Any = None,
+    cannot_link: Any = None,
+    indistinct: Any = None,
+    bound: bool = False,
 ) -> Association: ...
 @overload
 def solve(
-    affinity: Sequence[Affinity], solver: Solver | None = None, fusion: Fusion | None = None
+    affinity: Sequence[Affinity],
+    solver: Solver | None = None,
+    fusion: Fusion | None = None,
+    *,
+    must_link: Any = None,
+    cannot_link: Any = None,
+    indistinct: Any = None,
+    bound: bool = False,
 ) -> list[Association]: ...
 def solve(
     affinity: Affinity | Sequence[Affinity],
     solver: Solver | None = None,
     fusion: Fusion | None = None,
+    *,
+    must_link: Any = None,
+    cannot_link: Any = None,
+    indistinct: Any = None,
+    bound: bool = False,
 ) -> Association | list[Association]:
     """The clusters that agree best with the scores.
 
@@ -92,6 +155,15 @@ def solve(
         affinity: Scores of pairs, or a list of affinities, which are solved together.
         solver: The algorithm; ``Mixer()`` if None.
         fusion: How modalities add up; the paper's ``LinearFusion()`` if None.
+        must_link: (2, K) pairs of observations that are the same. Their cost counts.
+        cannot_link: (2, K) pairs of observations that are not the same.
+        indistinct: Views in which distinctness does not hold (a gallery of single images): their
+            observations are treated as if they had no view. Pairs within such a view are listed
+            only where the affinity gave them no view, see ``Affinity.from_dense(indistinct=)``.
+        bound: Prove a lower bound of the objective, so that the association's ``gap`` is a fact,
+            whatever the solver (see ``solvers/bounds.py``).
+
+    For a list of affinities, each constraint is None or a list with an entry for each of them.
 
     Returns:
         An association (a list of them for a list): cycle consistent, one-to-one and distinct within
@@ -100,6 +172,7 @@ def solve(
     Raises:
         RuntimeError: The solver's result breaks a constraint. This is a fault of the solver.
         TypeError: An argument is of the wrong type.
+        ValueError: The constraints contradict one another, or the solver cannot honour them.
     """
     from mixer_torch.solvers.mixer import Mixer
 
@@ -107,22 +180,67 @@ def solve(
     if not isinstance(solver, Solver):
         raise TypeError(f"solver: expected an instance of Solver, got {solver!r}")
     single = isinstance(affinity, Affinity)
-    affinities = [affinity] if single else list(affinity)
+    affinities = [affinity] if isinstance(affinity, Affinity) else list(affinity)
     for item in affinities:
         if not isinstance(item, Affinity):
             raise TypeError(f"affinity: expected Affinity or a list of them, got {item!r}")
     start = time.perf_counter()
-    problems = [problem_of(item, fusion) for item in affinities]
-    full = [problem for problem in problems if len(problem)]
-    solutions = iter(solver.run_batch(full) if not single else [solver.run(p) for p in full])
-    empty = Solution(Status.OPTIMAL, labels=torch.zeros(0, dtype=torch.int64))
+    links = {"must_link": must_link, "cannot_link": cannot_link, "indistinct": indistinct}
+    wanted = _each(links, None if single else len(affinities))
+    posed = [
+        constrain(problem_of(item, fusion), item.view, **each)
+        for item, each in zip(affinities, wanted, strict=True)
+    ]
+    solutions = _run(solver, [reduction.problem for _, reduction in posed], single, bound)
     answers = [
-        _association(problem, next(solutions) if len(problem) else empty) for problem in problems
+        _association(problem, reduction, solution)
+        for (problem, reduction), solution in zip(posed, solutions, strict=True)
     ]
     seconds = (time.perf_counter() - start) / max(len(answers), 1)
     for answer in answers:
         answer.stats.setdefault("seconds", seconds)  # type: ignore[attr-defined]
     return answers[0] if single else answers
+
+
+def _each(links: Mapping[str, Any], count: int | None) -> list[dict[str, Any]]:
+    """The constraints of each problem; count is None where a single affinity came."""
+    if count is None:
+        return [dict(links)]
+    for name, value in links.items():
+        if value is not None and not (isinstance(value, list | tuple) and len(value) == count):
+            raise ValueError(
+                f"{name}: expected None or a list with an entry for each of {count} affinities, "
+                f"got {value!r}"
+            )
+    return [
+        {name: None if value is None else value[i] for name, value in links.items()}
+        for i in range(count)
+    ]
+
+
+def _run(
+    solver: Solver, problems: Sequence[Problem], single: bool, bound: bool
+) -> Iterator[Solution]:
+    """The solution of each problem, those that have no nodes included."""
+    full = [problem for problem in problems if len(problem)]
+    for problem in full:
+        if problem.tokens is not None and not solver.takes_tokens:
+            raise ValueError(
+                f"solver: {type(solver).__name__} cannot honour these must_link or cannot_link "
+                "pairs, which give some observations more than one view; use Mixer or Exact"
+            )
+    solved = iter(solver.run_batch(full) if not single else [solver.run(p) for p in full])
+    for problem in problems:
+        if not len(problem):
+            empty = torch.zeros(0, dtype=torch.int64, device=problem.view.device)
+            yield Solution(Status.OPTIMAL, labels=empty, lower_bound=0.0)
+            continue
+        solution = next(solved)
+        if bound and solution.lower_bound is None:
+            from mixer_torch.solvers.bounds import lower_bound
+
+            solution = replace(solution, lower_bound=lower_bound(problem))
+        yield solution
 
 
 def problem_of(affinity: Affinity, fusion: Fusion | None = None) -> Problem:
@@ -133,7 +251,12 @@ def problem_of(affinity: Affinity, fusion: Fusion | None = None) -> Problem:
     return Problem(affinity.pairs, cost, distinct_views(affinity.view), mean)
 
 
-def _association(problem: Problem, solution: Solution) -> Association:
+def _association(problem: Problem, reduction: Reduction, solution: Solution) -> Association:
+    if solution.labels is not None and len(solution.labels) != len(reduction.problem):
+        raise RuntimeError(
+            f"the solver returned {len(solution.labels)} labels for {len(reduction.problem)}"
+        )
+    solution = reduction.expand(solution)
     stats = dict(solution.stats)
     if solution.labels is None:
         if solution.links is None:
@@ -143,10 +266,10 @@ def _association(problem: Problem, solution: Solution) -> Association:
             None, objective, solution.status, solution.lower_bound, stats, solution.links
         )
     labels = by_first_appearance(solution.labels.to(problem.view.device))
-    if labels.shape != problem.view.shape:
-        raise RuntimeError(f"the solver returned {len(labels)} labels for {len(problem)}")
     if not is_distinct(labels, problem.view):
         raise RuntimeError("the solver put two observations of one view into one cluster")
+    if broken := reduction.broken(labels):
+        raise RuntimeError(f"the solver broke {broken}")
     objective = objective_of(problem, labels)
     return Association(labels, objective, solution.status, solution.lower_bound, stats)
 
