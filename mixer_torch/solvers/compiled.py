@@ -1,0 +1,44 @@
+"""Compiled kernels: the decorator that all of them share, and their random numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile when first called, and keep the machine code on disk where there is room for it."""
+    try:
+        return numba.njit(cache=True, nogil=True)(function)
+    except RuntimeError:  # numba finds no folder that it may write its cache to
+        return numba.njit(nogil=True)(function)
+
+
+@compiled
+def mix(value: np.uint64) -> np.uint64:
+    """A hash of 64 bits (the finaliser of splitmix64; Steele, Lea, Flood, OOPSLA 2014)."""
+    value = (value ^ (value >> np.uint64(30))) * _MIX_1
+    value = (value ^ (value >> np.uint64(27))) * _MIX_2
+    return value ^ (value >> np.uint64(31))
+
+
+@compiled
+def draw(state: np.ndarray, bound: int) -> int:
+    """A random integer in 0..bound-1; the state is (1,) uint64 and moves on by one step."""
+    state[0] += _GOLDEN
+    return np.int64(mix(state[0]) % np.uint64(bound))
+
+
+@compiled
+def shuffle(state: np.ndarray, items: np.ndarray, count: int) -> None:
+    """Put the first count items in random order, in place."""
+    for i in range(count - 1, 0, -1):
+        j = draw(state, i + 1)
+        items[i], items[j] = items[j], items[i]
