@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,13 +15,6 @@ MILLIMETRES = 1000.0
 # without this shift.
 FIRST_PIXEL = 1.0
 FOLDER, HOMOGRAPHY = "calib", "homography.txt"
-
-
-class GroundPlane(Protocol):
-    """A calibration: anything that takes image points to the ground plane."""
-
-    def to_ground(self, points: Float[np.ndarray, "m 2"]) -> Float64[np.ndarray, "m 2"]:
-        """Ground x, y in metres of image points in pixels; NaN for points above the horizon."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +133,7 @@ class Tsai:
         return (centre[:2] + along[:, None] * ray[:, :2]) / MILLIMETRES
 
 
-def read_calibration(path: str | Path) -> GroundPlane:
+def read_calibration(path: str | Path) -> Homography | Tsai:
     """A Tsai camera from a ``.xml`` file, a homography from any other.
 
     Raises:
@@ -153,7 +146,7 @@ def read_calibration(path: str | Path) -> GroundPlane:
     return Tsai.from_xml(path) if path.suffix.lower() == ".xml" else Homography.from_text(path)
 
 
-def find_calibration(folder: Path) -> GroundPlane | None:
+def find_calibration(folder: Path) -> Homography | Tsai | None:
     """The calibration of a sequence: ``calib/*.xml`` or ``homography.txt``, None without either.
 
     Raises:

@@ -6,7 +6,7 @@ import configparser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -326,7 +326,7 @@ def find_video(folder: Path) -> Path | None:
     return files[0] if files else None
 
 
-def _refuse(path: Path, number: np.ndarray, wrong: np.ndarray, message: str) -> None:
+def _refuse(path: Path, number: np.ndarray, wrong: Any, message: str) -> None:
     if wrong.any():
         raise ValueError(f"{path}, line {number[wrong.argmax()]}: {message}")
 

@@ -15,8 +15,8 @@ from mixer_torch.datasets.calibration import (
 from mixer_torch.datasets.motchallenge import corners, foot_points, read_truth
 
 CAMERA = Tsai(
-    focal=5.5, kappa1=5e-3, cx=324, cy=282, sx=1.09, dpx=5.1e-3, dpy=4.6e-3,
-    tx=829, ty=-3175, tz=35469, rx=2.04, ry=-0.89, rz=-0.43,
+    focal=5.5, kappa1=5e-3, cx=324.0, cy=282.0, sx=1.09, dpx=5.1e-3, dpy=4.6e-3,
+    tx=829.0, ty=-3175.0, tz=35469.0, rx=2.04, ry=-0.89, rz=-0.43,
 )  # fmt: skip
 
 
