@@ -1,6 +1,7 @@
 """Datasets: one format a file, each read into observations."""
 
 from mixer_torch.datasets.base import Dataset
+from mixer_torch.datasets.landmarks import Landmarks
 from mixer_torch.datasets.motchallenge import MOTChallenge
 
-__all__ = ["Dataset", "MOTChallenge"]
+__all__ = ["Dataset", "Landmarks", "MOTChallenge"]

@@ -6,7 +6,7 @@ import configparser
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.calibration import find_calibration, read_calibration
+from mixer_torch.datasets.text import read_numbers, refuse
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 MIN_COLUMNS = 7
@@ -217,28 +218,11 @@ def read_table(path: Path) -> tuple[Float64[np.ndarray, "n columns"], Int64[np.n
         FileNotFoundError: There is no such file.
         ValueError: A line is malformed; the message names the file and the line.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
-    lines = path.read_text(encoding="utf-8-sig").split("\n")
-    number = np.array([i for i, line in enumerate(lines, 1) if line.strip()], dtype=np.int64)
-    if not len(number):
-        return np.empty((0, MIN_COLUMNS)), number
-    try:
-        text = (lines[i - 1] for i in number)
-        rows = np.loadtxt(text, delimiter=",", comments=None, ndmin=2)
-    except ValueError:
-        raise ValueError(_explain(path, lines, number)) from None
-    columns = rows.shape[1]
-    _refuse(
-        path,
-        number,
-        np.full(len(rows), columns < MIN_COLUMNS),
-        f"expected at least {MIN_COLUMNS} numbers, got {columns}",
-    )
-    _refuse(path, number, ~np.isfinite(rows[:, :MIN_COLUMNS]).all(1), "a number is not finite")
+    rows, number = read_numbers(path, MIN_COLUMNS, delimiter=",")
+    refuse(path, number, ~np.isfinite(rows[:, :MIN_COLUMNS]).all(1), "a number is not finite")
     frame = rows[:, 0]
-    _refuse(path, number, (frame < 1) | (frame % 1 != 0), "expected a frame of 1 or more")
-    _refuse(path, number, (rows[:, 4:6] <= 0).any(1), "expected a positive width and height")
+    refuse(path, number, (frame < 1) | (frame % 1 != 0), "expected a frame of 1 or more")
+    refuse(path, number, (rows[:, 4:6] <= 0).any(1), "expected a positive width and height")
     return rows, number
 
 
@@ -255,11 +239,11 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
         keep &= np.isin(rows[:, 7], classes)
     rows, number = rows[keep], number[keep]
     identity = rows[:, 1]
-    _refuse(path, number, (identity < 0) | (identity % 1 != 0), "expected an identity of 0 or more")
+    refuse(path, number, (identity < 0) | (identity % 1 != 0), "expected an identity of 0 or more")
     first = np.unique(rows[:, :2], axis=0, return_index=True)[1]
     repeated = np.ones(len(rows), dtype=bool)
     repeated[first] = False
-    _refuse(path, number, repeated, "this identity is in this frame already")
+    refuse(path, number, repeated, "this identity is in this frame already")
     return rows
 
 
@@ -324,23 +308,3 @@ def find_video(folder: Path) -> Path | None:
     if len(files) > 1:
         raise ValueError(f"{folder}: expected one video, got {[file.name for file in files]}")
     return files[0] if files else None
-
-
-def _refuse(path: Path, number: np.ndarray, wrong: Any, message: str) -> None:
-    if wrong.any():
-        raise ValueError(f"{path}, line {number[wrong.argmax()]}: {message}")
-
-
-def _explain(path: Path, lines: list[str], number: np.ndarray) -> str:
-    """Why a table that did not read did not: its first line that is malformed."""
-    expected = lines[number[0] - 1].count(",") + 1
-    for i in number:
-        words = lines[i - 1].split(",")
-        for word in words:
-            try:
-                float(word)
-            except ValueError:
-                return f"{path}, line {i}: expected a number, got {word.strip()!r}"
-        if len(words) != expected:
-            return f"{path}, line {i}: expected {expected} numbers, got {len(words)}"
-    return f"{path}: not readable as comma-separated numbers"

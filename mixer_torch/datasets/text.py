@@ -1,0 +1,67 @@
+"""Tables of numbers in text files, with errors that name the line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+
+def read_numbers(
+    path: Path, columns: int, delimiter: str | None = None
+) -> tuple[Float64[np.ndarray, "n columns"], Int64[np.ndarray, " n"]]:
+    """Read a table of numbers; blank lines do not count.
+
+    Args:
+        path: Text file.
+        columns: How many columns there have to be at least.
+        delimiter: What stands between numbers; white space if None.
+
+    Returns:
+        The numbers, and the line of the file that each row stands on, from 1. An empty file has
+        no rows, of ``columns`` columns.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: A line is malformed; the message names the file and the line.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist")
+    lines = path.read_text(encoding="utf-8-sig").split("\n")
+    number = np.array([i for i, line in enumerate(lines, 1) if line.strip()], dtype=np.int64)
+    if not len(number):
+        return np.empty((0, columns)), number
+    try:
+        text = (lines[i - 1] for i in number)
+        rows = np.loadtxt(text, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        raise ValueError(_explain(path, lines, number, delimiter)) from None
+    if rows.shape[1] < columns:
+        raise ValueError(
+            f"{path}, line {number[0]}: expected at least {columns} numbers, got {rows.shape[1]}"
+        )
+    return rows, number
+
+
+def refuse(path: Path, number: Int64[np.ndarray, " n"], wrong: Any, message: str) -> None:
+    """ValueError that names the file and the first line that is wrong, if any is."""
+    wrong = np.asarray(wrong)
+    if wrong.any():
+        raise ValueError(f"{path}, line {number[wrong.argmax()]}: {message}")
+
+
+def _explain(path: Path, lines: list[str], number: np.ndarray, delimiter: str | None) -> str:
+    """Why a table that did not read did not: its first line that is malformed."""
+    expected = len(lines[number[0] - 1].split(delimiter))
+    for i in number:
+        words = lines[i - 1].split(delimiter)
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                return f"{path}, line {i}: expected a number, got {word.strip()!r}"
+        if len(words) != expected:
+            return f"{path}, line {i}: expected {expected} numbers, got {len(words)}"
+    return f"{path}: not readable as a table of numbers"
