@@ -1,0 +1,46 @@
+"""The paper's two naïve baselines: every score is taken at its word."""
+
+from __future__ import annotations
+
+from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.synchronization import solution_of_links
+
+
+class AllPairs(Solver):
+    """A pair is the same if its score is above a threshold; nothing makes the links consistent.
+
+    Needs one score a pair and takes the mean of the modalities' (:attr:`Problem.score`), so a soft
+    score counts only by the side of the threshold on which it lies. A pair that is not listed is
+    no link. Labels are given where the links happen to be consistent.
+
+    Source: Lusk et al., MIXER, 2021, section V ("all-pairs").
+
+    Args:
+        threshold: Links are the pairs whose score is above it.
+    """
+
+    def __init__(self, threshold: float = 0.5) -> None:
+        if not 0 <= threshold <= 1:
+            raise ValueError(f"threshold: expected a number in [0, 1], got {threshold}")
+        self.threshold = threshold
+
+    def run(self, problem: Problem) -> Solution:
+        return solution_of_links(problem, problem.pairs[:, problem.score > self.threshold])
+
+
+class Consecutive(AllPairs):
+    """:class:`AllPairs`, between temporally consecutive views only.
+
+    Views are taken to be numbered in the order of time, as the datasets here number them: the view
+    after another is the one with the next larger number among those that have observations.
+
+    Source: Lusk et al., MIXER, 2021, section V ("consecutive").
+
+    Args:
+        threshold: Links are the pairs whose score is above it.
+    """
+
+    def run(self, problem: Problem) -> Solution:
+        first, second = problem.view[problem.pairs]
+        linked = (problem.score > self.threshold) & ((first - second).abs() == 1)
+        return solution_of_links(problem, problem.pairs[:, linked])
