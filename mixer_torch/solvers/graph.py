@@ -100,6 +100,12 @@ def compact(label: np.ndarray) -> np.ndarray:
     return np.unique(label, return_inverse=True)[1].astype(np.int64).reshape(-1)
 
 
+def named_by_member(label: np.ndarray) -> np.ndarray:
+    """The same clusters, each with its first member as label (int64)."""
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    return first.astype(np.int64)[inverse.reshape(-1)]
+
+
 def _token_lists(n: int, tokens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """CSR of the tokens that at least two nodes carry, renumbered 0.. in order."""
     if not tokens.shape[1]:

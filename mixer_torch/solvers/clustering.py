@@ -1,0 +1,242 @@
+"""A clustering of a small dense graph that moves keep up to date, and the moves themselves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mixer_torch.solvers.compiled import compiled
+
+
+class Clustering(NamedTuple):
+    """The state that the compiled moves read and write; k = n + 1 slots hold the clusters.
+
+    Args:
+        weight: (n, n) symmetric costs, 0 on the diagonal and for pairs that share a token.
+        token_start: (n + 1,) and
+        token: (K,) the tokens of each node.
+        label: (n,) slot of each node.
+        total: (k, n) cost of each node to all of the members of a slot.
+        size: (k,) members.
+        head: (k,) first member of a slot, -1 if empty; with
+        after: (n,) and
+        before: (n,) the members are a doubly linked list.
+        slot: (k,) the slots, those in use first.
+        place: (k,) where in ``slot`` each one is.
+        holder: (k, T) which member carries a token, -1 if none does.
+        stamp: (k,) when each slot last changed.
+        number: (2,) slots in use; the clock.
+    """
+
+    weight: np.ndarray
+    token_start: np.ndarray
+    token: np.ndarray
+    label: np.ndarray
+    total: np.ndarray
+    size: np.ndarray
+    head: np.ndarray
+    after: np.ndarray
+    before: np.ndarray
+    slot: np.ndarray
+    place: np.ndarray
+    holder: np.ndarray
+    stamp: np.ndarray
+    number: np.ndarray
+
+
+@compiled
+def build(weight, token_start, token, label):  # type: ignore[no-untyped-def]
+    """The state of given labels in 0..n-1; the labels are copied."""
+    n = len(label)
+    tokens = 0
+    for t in token:
+        tokens = max(tokens, t + 1)
+    state = Clustering(
+        weight,
+        token_start,
+        token,
+        np.full(n, -1, np.int64),
+        np.zeros((n + 1, n)),
+        np.zeros(n + 1, np.int64),
+        np.full(n + 1, -1, np.int64),
+        np.full(n, -1, np.int64),
+        np.full(n, -1, np.int64),
+        np.arange(n + 1),
+        np.arange(n + 1),
+        np.full((n + 1, tokens), -1, np.int64),
+        np.zeros(n + 1, np.int64),
+        np.zeros(2, np.int64),
+    )
+    for i in range(n):
+        enter(state, i, label[i])
+    return state
+
+
+@compiled
+def enter(state, i, c):  # type: ignore[no-untyped-def]
+    """Node i, which is in no slot, joins slot c."""
+    if state.size[c] == 0:
+        _swap_place(state, c, state.number[0])
+        state.number[0] += 1
+    state.size[c] += 1
+    state.label[i] = c
+    first = state.head[c]
+    state.after[i] = first
+    state.before[i] = -1
+    if first >= 0:
+        state.before[first] = i
+    state.head[c] = i
+    state.total[c] += state.weight[i]
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        state.holder[c, state.token[e]] = i
+    state.number[1] += 1
+    state.stamp[c] = state.number[1]
+
+
+@compiled
+def leave(state, i):  # type: ignore[no-untyped-def]
+    """Node i leaves its slot and is in none.
+
+    A token's holder is forgotten only if it is i: in the middle of an exchange the one that comes
+    in may have taken the token over already.
+    """
+    c = state.label[i]
+    ahead, behind = state.before[i], state.after[i]
+    if ahead >= 0:
+        state.after[ahead] = behind
+    else:
+        state.head[c] = behind
+    if behind >= 0:
+        state.before[behind] = ahead
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        if state.holder[c, state.token[e]] == i:
+            state.holder[c, state.token[e]] = -1
+    state.size[c] -= 1
+    state.number[1] += 1
+    state.stamp[c] = state.number[1]
+    if state.size[c] == 0:
+        state.total[c] = 0.0
+        state.number[0] -= 1
+        _swap_place(state, c, state.number[0])
+    else:
+        state.total[c] -= state.weight[i]
+
+
+@compiled
+def _swap_place(state, c, position):  # type: ignore[no-untyped-def]
+    other, old = state.slot[position], state.place[c]
+    state.slot[position], state.slot[old] = c, other
+    state.place[c], state.place[other] = position, old
+
+
+@compiled
+def move(state, i, c):  # type: ignore[no-untyped-def]
+    """Node i goes to slot c."""
+    leave(state, i)
+    enter(state, i, c)
+
+
+@compiled
+def fits(state, i, c):  # type: ignore[no-untyped-def]
+    """Whether slot c holds none of the tokens of node i."""
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        if state.holder[c, state.token[e]] >= 0:
+            return False
+    return True
+
+
+@compiled
+def restore(state, label):  # type: ignore[no-untyped-def]
+    """Back to labels that were saved."""
+    for i in range(len(label)):
+        if state.label[i] != label[i]:
+            move(state, i, label[i])
+
+
+@compiled
+def cost_of(state):  # type: ignore[no-untyped-def]
+    """Sum of the cost inside clusters, from the labels alone."""
+    total = 0.0
+    n = len(state.label)
+    for i in range(n):
+        for j in range(i):
+            if state.label[i] == state.label[j]:
+                total += state.weight[i, j]
+    return total
+
+
+@compiled
+def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
+    """Move single nodes to where they cost least, until none gains by it.
+
+    Only moves from or into slots that changed after the time ``since`` are looked at.
+
+    Returns:
+        The change of the cost.
+    """
+    n, gained = len(state.label), 0.0
+    changed = np.empty(n + 1, np.int64)
+    while True:
+        now, count = state.number[1], 0
+        for p in range(state.number[0]):
+            if state.stamp[state.slot[p]] > since:
+                changed[count] = state.slot[p]
+                count += 1
+        if count == 0:
+            return gained
+        for i in range(n):
+            own = state.label[i]
+            stay = state.total[own, i]
+            best, target = stay - tiny, -1
+            if best > 0 and state.size[own] > 1:
+                best, target = 0.0, state.slot[state.number[0]]
+            everywhere = state.stamp[own] > since
+            for p in range(state.number[0] if everywhere else count):
+                c = state.slot[p] if everywhere else changed[p]
+                if state.total[c, i] < best and c != own and fits(state, i, c):
+                    best, target = state.total[c, i], c
+            if target >= 0:
+                move(state, i, target)
+                gained += best - stay
+        since = now
+
+
+@compiled
+def merge(state, since, tiny):  # type: ignore[no-untyped-def]
+    """Unite the pairs of slots that cost less as one; each changed slot with its best partner."""
+    gained = 0.0
+    for c in state.slot[: state.number[0]].copy():
+        if state.stamp[c] <= since or state.size[c] == 0:
+            continue
+        best, target = -tiny, -1
+        for p in range(state.number[0]):
+            other = state.slot[p]
+            if other != c:
+                cost = _between(state, c, other)
+                if cost < best and _compatible(state, c, other):
+                    best, target = cost, other
+        if target >= 0:
+            while state.head[c] >= 0:
+                move(state, state.head[c], target)
+            gained += best
+    return gained
+
+
+@compiled
+def _between(state, c, other):  # type: ignore[no-untyped-def]
+    cost, i = 0.0, state.head[c]
+    while i >= 0:
+        cost += state.total[other, i]
+        i = state.after[i]
+    return cost
+
+
+@compiled
+def _compatible(state, c, other):  # type: ignore[no-untyped-def]
+    i = state.head[c]
+    while i >= 0:
+        if not fits(state, i, other):
+            return False
+        i = state.after[i]
+    return True
