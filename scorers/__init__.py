@@ -1,1 +1,8 @@
 """Scorers, one modality a file. Each is also ``scorers.<Class>``."""
+
+from scorers.color import Color
+from scorers.iou import IoU
+from scorers.proximity import Proximity
+from scorers.sift import SIFT
+
+__all__ = ["SIFT", "Color", "IoU", "Proximity"]
