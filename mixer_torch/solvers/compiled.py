@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from functools import update_wrapper
+from pathlib import Path
+from types import CellType, FunctionType
 from typing import Any
 
 import numba
@@ -13,12 +17,39 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
+def _version() -> str:
+    """A hash of all sources with kernels.
+
+    Machine code is kept with the code of the kernels that a kernel calls built in, but numba looks
+    only at the kernel's own file to see whether it is still good.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        text = path.read_bytes()
+        if b"@compiled" in text:
+            digest.update(text)
+    return digest.hexdigest()
+
+
+_VERSION = _version()
+
+
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile when first called, and keep the machine code on disk where there is room for it."""
+    """Compile when first called, and keep the machine code on disk where there is room for it.
+
+    The version of the sources becomes a closure variable, which numba makes part of the key under
+    which it keeps the code.
+    """
+    code = function.__code__
+    code = code.replace(co_freevars=(*code.co_freevars, "_version"))
+    closure = (*(function.__closure__ or ()), CellType(_VERSION))
+    versioned = FunctionType(code, function.__globals__, function.__name__, None, closure)
+    update_wrapper(versioned, function)
+    del versioned.__wrapped__  # type: ignore[attr-defined]
     try:
-        return numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # numba finds no folder that it may write its cache to
-        return numba.njit(nogil=True)(function)
+        return numba.njit(cache=True, nogil=True)(versioned)
+    except RuntimeError:  # numba finds no folder that it may write to
+        return numba.njit(nogil=True)(versioned)
 
 
 @compiled
