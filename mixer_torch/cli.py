@@ -27,7 +27,7 @@ GIVEN = ("config", "progress")
 """Parameters of commands that are not arguments: :func:`main` fills them in."""
 SWITCHES = ("--ablate", "--video")
 SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device"}
-"""Options that one configuration holds for all commands; one without a use for them lets them by."""
+"""Options that one file may hold for all commands; one that has no use for them lets them by."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -75,7 +75,7 @@ def build_parsers() -> tuple[ArgumentParser, dict[str, ArgumentParser]]:
 
 
 def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
-    scene = resources.files("mixer_torch") / "configs" / "parking_lot.yaml"
+    scene = resources.files("mixer_torch.configs") / "parking_lot.yaml"
     parser = ArgumentParser(default_config_files=[str(scene)] if name == "demo" else [])
     if name == "list":
         return parser

@@ -10,8 +10,8 @@ from mixer_torch.observations import Observations
 GOLDEN_RATIO = 0.618034
 HUES = (45.0, 345.0)
 """Degrees of OKLCh hue in use: the reds left out mean "wrong"."""
-LIGHTNESS = (0.64, 0.76, 0.50)
-CHROMA = 0.14
+LIGHTNESS = (0.64, 0.78, 0.52)
+CHROMA = 0.17
 WRONG = (0.86, 0.06, 0.10)
 MISSED = (0.98, 0.72, 0.20)
 FADED = (0.62, 0.62, 0.62)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMN_INCHES = 4.6
+DPI = 110
 
 
 def frames_figure(
@@ -35,33 +36,46 @@ def frames_figure(
         most: Frames shown at most.
         columns: Frames side by side.
     """
-    from matplotlib.figure import Figure
-
     images = _images(observations)
     if not len(labels):
         return blank_figure("no observations")
     numbers = labels.cpu().numpy()
     wrong = wrong_by_truth(observations, numbers)
-    seen = np.unique(images.frame_index)
-    chosen = seen[
-        np.unique(np.linspace(0, len(seen) - 1, min(most, len(seen))).round().astype(int))
-    ]
-    columns = min(columns, len(chosen))
-    rows = -(-len(chosen) // columns)
-    members = [np.flatnonzero(images.frame_index == index) for index in chosen]
-    shape = images.frame(int(members[0][0])).shape
-    row_inches = COLUMN_INCHES * shape[0] / shape[1] + 0.28
-    size = (COLUMN_INCHES * columns, row_inches * rows + 0.45)
-    figure = Figure(figsize=size, layout="constrained")
-    figure.suptitle(_caption(wrong), x=0.006, ha="left", fontsize=11, color=INK)
-    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
     single = np.bincount(numbers)[numbers] == 1
-    for axis, group in zip(axes, members, strict=False):
+    seen = np.unique(images.frame_index)
+    spread = np.linspace(0, len(seen) - 1, min(most, len(seen))).round().astype(np.int64)
+    groups = [np.flatnonzero(images.frame_index == index) for index in seen[np.unique(spread)]]
+    shape = images.frame(int(groups[0][0])).shape
+    figure, axes = _grid(len(groups), min(columns, len(groups)), shape[0] / shape[1])
+    figure.suptitle(_caption(wrong), x=0.006, y=0.995, ha="left", va="top", color=INK)
+    for axis, group in zip(axes, groups, strict=True):
         _draw_frame(axis, images, group, numbers, single, wrong)
         axis.set_title(_name(observations, int(group[0])), loc="left", fontsize=9, color=INK, pad=3)
-    for axis in axes:
-        axis.set_axis_off()
     return figure
+
+
+def _grid(count: int, columns: int, aspect: float) -> tuple[Figure, list[Axes]]:
+    """Axes in rows, of one aspect (height / width), with room for titles."""
+    from matplotlib.figure import Figure
+
+    gap, title, head = 0.1, 0.26, 0.32
+    cell = (COLUMN_INCHES + gap, COLUMN_INCHES * aspect + title)
+    width = columns * cell[0] + gap
+    height = -(-count // columns) * cell[1] + head + gap
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    axes = []
+    for k in range(count):
+        row, column = divmod(k, columns)
+        left, bottom = gap + column * cell[0], height - head - (row + 1) * cell[1]
+        rectangle = (
+            left / width,
+            bottom / height,
+            COLUMN_INCHES / width,
+            COLUMN_INCHES * aspect / height,
+        )
+        axes.append(figure.add_axes(rectangle))
+        axes[-1].set_axis_off()
+    return figure, axes
 
 
 def _draw_frame(
@@ -73,6 +87,7 @@ def _draw_frame(
     wrong: np.ndarray,
 ) -> None:
     from matplotlib.patches import Rectangle
+    from matplotlib.patheffects import Normal, Stroke
 
     frame = images.frame(int(group[0]))
     axis.imshow(frame, interpolation="antialiased")
@@ -80,6 +95,8 @@ def _draw_frame(
         x1, y1, x2, y2 = images.box[i]  # type: ignore[index]
         color = FADED if single[i] else tuple(colors(numbers[i : i + 1])[0])
         edge, style = (WRONG, (0, (3, 2))) if wrong[i] else (color, "-")
+        line = 0.9 if single[i] else 1.8
+        halo = [Stroke(linewidth=line + 1.4, foreground="white", alpha=0.6), Normal()]
         axis.add_patch(
             Rectangle(
                 (x1, y1),
@@ -88,7 +105,8 @@ def _draw_frame(
                 fill=False,
                 edgecolor=edge,
                 linestyle=style,
-                linewidth=0.8 if single[i] else 1.8,
+                linewidth=line,
+                path_effects=halo,
             )
         )
         if not single[i]:
@@ -197,16 +215,15 @@ def _images(observations: Observations) -> Images:
 
 
 def _name(observations: Observations, i: int) -> str:
-    parts = [
-        f"{key} {int(observations[key][i])}"
-        for key in ("camera", "frame")
-        if key in observations.features
-    ]
-    return "  ".join(parts) or f"view {int(observations.view[i])}"
+    camera, frame = (observations.features.get(key) for key in ("camera", "frame"))
+    parts = [] if frame is None else [f"frame {int(frame[i])}"]
+    if camera is not None and bool((camera != camera[i]).any()):
+        parts.insert(0, f"camera {int(camera[i])}")
+    return ", ".join(parts) or f"view {int(observations.view[i])}"
 
 
 def _caption(wrong: np.ndarray) -> str:
-    text = "Boxes are coloured and numbered by cluster; thin grey: seen once"
+    text = "Boxes are coloured and numbered by cluster; thin grey: alone in its cluster"
     return text + (
-        "; dashed red: by the truth not what most of its cluster is" if wrong.any() else ""
+        "; dashed red: by the truth another object than most of its cluster" if wrong.any() else ""
     )

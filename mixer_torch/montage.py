@@ -1,69 +1,140 @@
-"""Picture of the crops of each cluster, one cluster a row."""
+"""Picture of the crops of each cluster, the clusters one after another, the largest first."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from torch import Tensor
 
-from mixer_torch.colors import INK, WRONG, by_size, colors, wrong_by_truth
-from mixer_torch.observations import Observations
+from mixer_torch.colors import FADED, INK, WRONG, by_size, colors, wrong_by_truth
+from mixer_torch.observations import Images, Observations
 from mixer_torch.plots import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARGIN = 130
-"""Pixels left of the crops, for the number of the cluster."""
-TAIL = 70
-"""Pixels right of them, for how many are not shown."""
-GAP = 8
-FRAME = 3
-HEAD = 44
 DPI = 100
+LABEL = 126
+"""Pixels left of a cluster's crops, for its number and size."""
+TAIL = 48
+"""Pixels right of them, for how many are not shown."""
+GAP = 6
+FRAME = 3
+HEAD = 40
+
+
+@dataclass
+class Strip:
+    """One cluster in the picture: a label and framed crops in a line.
+
+    Args:
+        title: Number of the cluster.
+        note: Its size.
+        color: Of the title, (3,) in 0..1.
+        note_color: Of the note.
+        shown: Observations in it, in order.
+        hidden: How many more there are.
+        width: Pixels.
+    """
+
+    title: str
+    note: str
+    color: Any
+    note_color: Any
+    shown: np.ndarray
+    hidden: int
+    width: int
+    left: int = 0
+    line: int = 0
 
 
 def clusters_figure(
-    observations: Observations, labels: Tensor, rows: int = 24, width: int = 1800, height: int = 84
+    observations: Observations, labels: Tensor, lines: int = 24, width: int = 1800, height: int = 84
 ) -> Figure:
-    """The crops of each cluster in the order of time, the largest cluster first.
+    """The crops of each cluster in the order of time, and those that are alone at the end.
 
     A crop is framed in the colour of its cluster, or in red if it is by the truth of another
-    object than most of its row. Where a row has more crops than there is room for, those shown are
-    spread evenly over it.
+    object than most of its cluster. Where a cluster has more crops than there is room for in a
+    line, those shown are spread evenly over it.
 
     Args:
         observations: With images.
         labels: (m,) the cluster of each.
-        rows: Clusters shown at most.
+        lines: Lines of crops at most; what does not fit is counted in the heading.
         width: Of the picture, pixels.
         height: Of a crop, pixels.
     """
+    if observations.images is None:
+        raise ValueError("observations: expected images to take crops from, got none")
     if not len(labels):
         return blank_figure("no observations")
     numbers = labels.cpu().numpy()
     wrong = wrong_by_truth(observations, numbers)
-    ranked = by_size(numbers)
-    members = [_in_time(observations, np.flatnonzero(numbers == label)) for label in ranked[:rows]]
-    room = width - MARGIN - TAIL
-    chosen = [_that_fit(observations, group, height, room) for group in members]
-    crops = _crops(observations, np.concatenate(chosen), height)
-    step = height + 2 * FRAME + GAP
-    canvas = np.full((HEAD + step * len(chosen), width, 3), 255, dtype=np.uint8)
-    texts = [(GAP, HEAD / 2, _caption(ranked, numbers, rows, wrong), INK, 10.0)]
-    for row, (label, group, some) in enumerate(zip(ranked, members, chosen, strict=False)):
-        color = colors(np.array([label]))[0]
-        top = HEAD + row * step
-        right = _paste_row(canvas, top, [(crops[i], WRONG if wrong[i] else color) for i in some])
+    sizes = _tile_widths(observations.images, height)
+    strips = _strips(observations, numbers, wrong, sizes, width)
+    shown = _lay_out(strips, width, lines)
+    crops = _crops(observations.images, np.concatenate([s.shown for s in shown]), height)
+    step = height + 2 * FRAME + 2 * GAP
+    canvas = np.full((HEAD + step * (shown[-1].line + 1), width, 3), 255, dtype=np.uint8)
+    texts: list[tuple] = [(2 * GAP, HEAD / 2, _caption(strips, shown, wrong), INK, 10.5)]
+    for strip in shown:
+        top = HEAD + strip.line * step
+        left = strip.left + LABEL
+        for i in strip.shown:
+            own = FADED if strip.color is FADED else colors(numbers[i : i + 1])[0]
+            left = _paste(canvas, top, left, crops[i], WRONG if wrong[i] else own)
         middle = top + FRAME + height / 2
-        errors = int(wrong[group].sum())
-        seen = f"{len(group)} seen" + (f", {errors} wrong" if errors else "")
-        texts.append((GAP, middle - 12, f"● {label}", tuple(color * 0.9), 13.0))
-        texts.append((GAP, middle + 14, seen, WRONG if errors else INK, 8.5))
-        if len(some) < len(group):
-            texts.append((right + GAP, middle, f"+{len(group) - len(some)}", INK, 11.0))
+        texts.append((strip.left + 2 * GAP, middle - 12, strip.title, strip.color, 13.0))
+        texts.append((strip.left + 2 * GAP, middle + 14, strip.note, strip.note_color, 8.5))
+        if strip.hidden:
+            texts.append((left + 2, middle, f"+{strip.hidden}", INK, 11.0))
     return _figure(canvas, texts)
+
+
+def _strips(
+    observations: Observations,
+    numbers: np.ndarray,
+    wrong: np.ndarray,
+    sizes: np.ndarray,
+    width: int,
+) -> list[Strip]:
+    ranked = by_size(numbers)
+    count = np.bincount(numbers)
+    groups = [np.flatnonzero(numbers == label) for label in ranked if count[label] > 1]
+    alone = np.flatnonzero(count[numbers] == 1)
+    strips = []
+    for group in [*groups, *([alone] if len(alone) else [])]:
+        several = count[numbers[group[0]]] > 1
+        shown = _that_fit(_in_time(observations, group), sizes, width - LABEL - TAIL)
+        errors = int(wrong[group].sum())
+        color = tuple(0.92 * colors(numbers[group[:1]])[0]) if several else FADED
+        strips.append(
+            Strip(
+                title=f"● {numbers[group[0]]}" if several else "● alone",
+                note=f"{len(group)} seen" + (f", {errors} wrong" if errors else ""),
+                color=color,
+                note_color=WRONG if errors else INK,
+                shown=shown,
+                hidden=len(group) - len(shown),
+                width=LABEL + int(sizes[shown].sum()) + (TAIL if len(shown) < len(group) else 0),
+            )
+        )
+    return strips
+
+
+def _lay_out(strips: list[Strip], width: int, lines: int) -> list[Strip]:
+    """Place strips from left to right in lines, in their order; returns those that fit."""
+    left = line = 0
+    for place, strip in enumerate(strips):
+        if left and left + strip.width > width:
+            left, line = 0, line + 1
+        if line >= lines:
+            return strips[:place]
+        strip.left, strip.line = left, line
+        left += strip.width + 3 * GAP
+    return strips
 
 
 def _in_time(observations: Observations, members: np.ndarray) -> np.ndarray:
@@ -74,39 +145,33 @@ def _in_time(observations: Observations, members: np.ndarray) -> np.ndarray:
     return members
 
 
-def _that_fit(
-    observations: Observations, members: np.ndarray, height: int, room: int
-) -> np.ndarray:
-    """As many of the members as fit in a row, spread evenly, with both ends."""
-    box = None if observations.images is None else observations.images.box
-    ratio = np.ones(len(members))
-    if box is not None:
-        size = np.maximum(np.nan_to_num(box[members, 2:] - box[members, :2]), 1)
-        ratio = np.minimum(size[:, 0] / size[:, 1], 2)
-    elif observations.images is not None:
-        shape = observations.images.frame(int(members[0])).shape
-        ratio *= min(shape[1] / shape[0], 2)
-    taken = ratio * height + 2 * FRAME + GAP
-    most = max(int(room // taken.mean()), 1)
-    while most > 1 and taken[_spread(len(members), most)].sum() > room:
-        most -= 1
-    return members[_spread(len(members), most)]
+def _tile_widths(images: Images, height: int) -> np.ndarray:
+    """(m,) pixels across that each crop takes in a line, from its box where there are boxes."""
+    if images.box is None:
+        shape = images.frame(int(np.argmin(images.frame_index))).shape
+        ratio = np.full(len(images), shape[1] / shape[0])
+    else:
+        size = np.maximum(np.nan_to_num(images.box[:, 2:] - images.box[:, :2]), 1)
+        ratio = size[:, 0] / size[:, 1]
+    return np.ceil(np.clip(ratio, 0.2, 2) * height) + 2 * FRAME + GAP
 
 
-def _spread(count: int, most: int) -> np.ndarray:
-    if count <= most:
-        return np.arange(count)
-    return np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
+def _that_fit(members: np.ndarray, sizes: np.ndarray, room: int) -> np.ndarray:
+    """As many of the members as fit in a line, spread evenly, with both ends."""
+    count = len(members)
+    for most in range(min(count, max(int(room // sizes[members].min()), 1)), 0, -1):
+        chosen = members[np.linspace(0, count - 1, most).round().astype(np.int64)]
+        if sizes[chosen].sum() <= room or most == 1:
+            return chosen
+    return members[:1]
 
 
-def _crops(observations: Observations, chosen: np.ndarray, height: int) -> dict[int, np.ndarray]:
-    """Crops by observation, of one height unless very wide; each frame is decoded once."""
+def _crops(images: Images, chosen: np.ndarray, height: int) -> dict[int, np.ndarray]:
+    """Crops by observation, as large as their tiles; each frame is decoded once."""
     import cv2
 
-    if observations.images is None:
-        raise ValueError("observations: expected images to take crops from, got none")
     crops = {}
-    for k, crop in observations.images.select(chosen).crops():
+    for k, crop in images.select(chosen).crops():
         scale = min(height / crop.shape[0], 2 * height / crop.shape[1])
         size = [max(round(side * scale), 1) for side in (crop.shape[1], crop.shape[0])]
         method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
@@ -114,29 +179,23 @@ def _crops(observations: Observations, chosen: np.ndarray, height: int) -> dict[
     return crops
 
 
-def _paste_row(
-    canvas: np.ndarray, top: int, tiles: list[tuple[np.ndarray, tuple[float, ...] | np.ndarray]]
-) -> int:
-    """Put framed crops side by side; returns where the row ends."""
-    left = MARGIN
-    for crop, color in tiles:
-        height, width = crop.shape[0] + 2 * FRAME, crop.shape[1] + 2 * FRAME
-        tile = np.empty((height, width, 3), dtype=np.uint8)
-        tile[:] = np.round(np.asarray(color) * 255)
-        tile[FRAME:-FRAME, FRAME:-FRAME] = crop
-        width = min(width, canvas.shape[1] - left)
-        canvas[top : top + height, left : left + width] = tile[:, :width]
-        left += width + GAP
-    return left - GAP
+def _paste(canvas: np.ndarray, top: int, left: int, crop: np.ndarray, color: Any) -> int:
+    """Put a framed crop on the canvas; returns where the next one goes."""
+    tile = np.empty((crop.shape[0] + 2 * FRAME, crop.shape[1] + 2 * FRAME, 3), dtype=np.uint8)
+    tile[:] = np.round(np.asarray(color) * 255)
+    tile[FRAME:-FRAME, FRAME:-FRAME] = crop
+    room = canvas[top : top + tile.shape[0], left : left + tile.shape[1]]
+    room[:] = tile[: room.shape[0], : room.shape[1]]
+    return left + tile.shape[1] + GAP
 
 
-def _caption(ranked: np.ndarray, numbers: np.ndarray, rows: int, wrong: np.ndarray) -> str:
-    parts = ["One cluster a row, the largest first, in the order of time."]
+def _caption(strips: list[Strip], shown: list[Strip], wrong: np.ndarray) -> str:
+    parts = ["Clusters, the largest first, each in the order of time."]
     if wrong.any():
-        parts.append("Framed in red: by the truth another object than most of the row.")
-    if len(ranked) > rows:
-        seen = int(np.isin(numbers, ranked[rows:]).sum())
-        parts.append(f"Not shown: {len(ranked) - rows} smaller clusters, {seen} observations.")
+        parts.append("Framed in red: by the truth another object than most of the cluster.")
+    if len(shown) < len(strips):
+        left = sum(len(strip.shown) + strip.hidden for strip in strips[len(shown) :])
+        parts.append(f"Not shown: {left} observations in smaller clusters.")
     return "  ".join(parts)
 
 

@@ -22,16 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+DPI = 130
 LARGEST_MAP = 900
 """Cells a side of a heat map; more observations than that are averaged in blocks."""
 
 
-def save(figure: Figure, path: str | Path, dpi: int = 150) -> None:
+def save(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=dpi, format="png", facecolor="white")
+    figure.savefig(path, format="png", facecolor="white")
 
 
 def affinity_figure(
@@ -48,16 +49,13 @@ def affinity_figure(
         identity: (m,) the truth; no third panel where it is None.
         fusion: How the modalities add up; the paper's if None.
     """
-    from matplotlib.figure import Figure
-
     m = len(affinity)
     if not m:
         return blank_figure("no observations")
     labels = _labels_or_components(association, m)
     order = np.argsort(np.argsort(by_size(labels))[labels], kind="stable")
     panels = 2 if identity is None else 3
-    figure = Figure(figsize=(5.6 * panels, 6.1), layout="constrained")
-    axes = figure.subplots(1, panels)
+    figure, axes = _square_panels(panels)
     place = np.empty(m, dtype=np.int64)
     place[order] = np.arange(m)
     evidence = -affinity.cost(fusion).detach().double().cpu().numpy()
@@ -65,11 +63,32 @@ def affinity_figure(
     found = _together(labels[order])
     _draw_found(axes[1], labels[order], found)
     if identity is not None:
-        truth = identity.cpu().numpy()[order]
-        _draw_truth(axes[2], labels[order], truth, found)
+        _draw_truth(axes[2], labels[order], identity.cpu().numpy()[order], found)
     for axis in axes:
         _cluster_ticks(axis, labels[order])
+    axes[0].set_ylabel("observations, by cluster, the largest first", color=INK)
     return figure
+
+
+def _square_panels(count: int) -> tuple[Figure, list[Axes]]:
+    """Squares side by side, with room for titles above and keys below."""
+    from matplotlib.figure import Figure
+
+    left, side, gap, bottom, top = 0.6, 4.8, 0.5, 0.85, 0.5
+    width, height = left + count * (side + gap) - gap + 0.15, bottom + side + top
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    axes = [
+        figure.add_axes(
+            (
+                (left + k * (side + gap)) / width,
+                bottom / height,
+                side / width,
+                side / height,
+            )
+        )
+        for k in range(count)
+    ]
+    return figure, axes
 
 
 def _draw_evidence(axis: Axes, place: np.ndarray, evidence: np.ndarray, m: int) -> None:
@@ -89,8 +108,9 @@ def _draw_evidence(axis: Axes, place: np.ndarray, evidence: np.ndarray, m: int) 
         interpolation="nearest",
     )
     axis.set_title("What the scores say", loc="left", fontweight="bold", color=INK)
-    bar = axis.figure.colorbar(drawn, ax=axis, location="bottom", shrink=0.9, pad=0.02, aspect=32)
-    bar.set_label("minus fused cost:  different  ←  0 = nothing to say  →  same")
+    inset = axis.inset_axes((0.08, -0.065, 0.84, 0.03))
+    bar = axis.figure.colorbar(drawn, cax=inset, orientation="horizontal")
+    bar.set_label("different  ←  minus the fused cost; 0 has nothing to say  →  same", color=INK)
     bar.outline.set_visible(False)
 
 
@@ -103,7 +123,7 @@ def _draw_found(axis: Axes, labels: np.ndarray, found: np.ndarray) -> None:
     size = np.unique(labels, return_counts=True)[1]
     axis.set_title("What was found", loc="left", fontweight="bold", color=INK)
     singles = int((size == 1).sum())
-    axis.set_xlabel(f"{len(size)} clusters, {singles} of them seen once")
+    axis.set_xlabel(f"{len(size)} clusters, {singles} of them of one observation", color=INK)
 
 
 def _draw_truth(axis: Axes, labels: np.ndarray, identity: np.ndarray, found: np.ndarray) -> None:
@@ -147,7 +167,7 @@ def _cluster_ticks(axis: Axes, labels: np.ndarray) -> None:
     m = len(labels)
     starts = np.flatnonzero(np.diff(labels, prepend=-1))
     sizes = np.diff(np.append(starts, m))
-    wide = sizes >= max(0.022 * m, 1)
+    wide = sizes >= max(0.028 * m, 1)
     middles, names = (starts + sizes / 2)[wide], labels[starts[wide]]
     axis.set_xticks([])
     axis.set_yticks(middles, [str(name) for name in names], fontsize=7)
@@ -155,7 +175,6 @@ def _cluster_ticks(axis: Axes, labels: np.ndarray) -> None:
         text.set_color(color * 0.8)
         text.set_fontweight("bold")
     axis.tick_params(length=0, pad=2)
-    axis.set_ylabel("observations, ordered by cluster (the numbers)", color=INK, fontsize=9)
     for spine in axis.spines.values():
         spine.set_color(FADED)
         spine.set_linewidth(0.6)

@@ -1,0 +1,1 @@
+"""Configurations, one YAML a file; installed as ``mixer_torch.configs``."""
