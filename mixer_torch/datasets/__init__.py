@@ -3,5 +3,6 @@
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.datasets.landmarks import Landmarks
 from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.datasets.table import Table
 
-__all__ = ["Dataset", "Landmarks", "MOTChallenge"]
+__all__ = ["Dataset", "Landmarks", "MOTChallenge", "Table"]
