@@ -73,40 +73,53 @@ class MatchALS(Solver):
         rank = min(self.rank or 2 * universe_size(weight, problem.view), len(problem))
         generator = torch.Generator().manual_seed(self.seed)
         start = torch.rand(len(problem), rank, generator=generator).to(weight)
-        matrix, iterations = self._minimise(weight, problem.view, start)
+        matrix, iterations = low_rank_matches(
+            weight,
+            problem.view,
+            start,
+            self.nuclear,
+            self.sparsity,
+            self.max_iterations,
+            self.tolerance,
+        )
         links = (matrix > 0.5).triu(1).nonzero().T
         links = links[:, ~within_view(problem.view, links)]
         return solution_of_links(problem, links, rank=rank, iterations=iterations)
 
-    def _minimise(
-        self, weight: Float[Tensor, "m m"], view: Int64[Tensor, " m"], factor: Float[Tensor, "m k"]
-    ) -> tuple[Float[Tensor, "m m"], int]:
-        """The symmetric part of X = A Bᵀ, and how many iterations it took."""
-        m, step = len(view), 64.0
-        apart = view[:, None] == view
-        low_rank, bounded, dual = weight, weight, torch.zeros_like(weight)
-        iteration = 0
-        while iteration < self.max_iterations:
-            iteration += 1
-            previous = low_rank
-            target = bounded - (dual - weight + self.sparsity) / step
-            ridge = self.nuclear / step
-            other = least_squares(factor, target.T, ridge)
-            factor = least_squares(other, target, ridge)
-            low_rank = factor @ other.T
-            bounded = (low_rank + dual / step).masked_fill(apart, 0).fill_diagonal_(1).clamp(0, 1)
-            dual = dual + step * (low_rank - bounded)
-            primal = float((low_rank - bounded).norm()) / m
-            change = step * float((low_rank - previous).norm()) / m
-            if max(primal, change) < self.tolerance:
-                break
-            step *= 2.0 if primal > 10 * change else 0.5 if change > 10 * primal else 1.0
-        return (low_rank + low_rank.T) / 2, iteration
+
+def low_rank_matches(
+    weight: Float[Tensor, "m m"],
+    view: Int64[Tensor, " m"],
+    factor: Float[Tensor, "m k"],
+    nuclear: float,
+    sparsity: float,
+    max_iterations: int,
+    tolerance: float,
+) -> tuple[Float[Tensor, "m m"], int]:
+    """The program of :class:`MatchALS` from a start A = factor: X, and the iterations it took."""
+    m, step, iteration = len(view), 64.0, 0
+    apart = view[:, None] == view
+    low_rank, bounded, dual = weight, weight, torch.zeros_like(weight)
+    while iteration < max_iterations:
+        iteration += 1
+        previous = low_rank
+        target = bounded - (dual - weight + sparsity) / step
+        other = least_squares(factor, target.T, nuclear / step)
+        factor = least_squares(other, target, nuclear / step)
+        low_rank = factor @ other.T
+        bounded = (low_rank + dual / step).masked_fill(apart, 0).fill_diagonal_(1).clamp(0, 1)
+        dual = dual + step * (low_rank - bounded)
+        primal = float((low_rank - bounded).norm()) / m
+        change = step * float((low_rank - previous).norm()) / m
+        if max(primal, change) < tolerance:
+            break
+        step *= 2.0 if primal > 10 * change else 0.5 if change > 10 * primal else 1.0
+    return (low_rank + low_rank.T) / 2, iteration
 
 
 def least_squares(
     factor: Float[Tensor, "m k"], target: Float[Tensor, "m m"], ridge: float
 ) -> Float[Tensor, "m k"]:
-    """The B that minimises ‖A Bᵀ − targetᵀ‖² + ridge ‖B‖², for a factor A (target is (b, a))."""
+    """The B that minimises ‖A Bᵀ − targetᵀ‖² + ridge ‖B‖², for a factor A."""
     gram = factor.T @ factor + ridge * torch.eye(factor.shape[1]).to(factor)
     return torch.linalg.solve(gram, (target @ factor).T).T
