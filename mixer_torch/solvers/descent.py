@@ -1,49 +1,112 @@
-"""Projected gradient descent on a padded batch of relaxed problems."""
+"""The paper's algorithm: projected gradient descent with Armijo backtracking and increasing d."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float
 from torch import Tensor
 
-from mixer_torch.solvers.relaxation import (
-    distinctness_penalty,
-    orthogonality_penalty,
-    pair_cost,
-    project_to_row_sum_at_most_one,
-    project_to_simplex,
-)
+from mixer_torch.solvers.batch import Batch, Descent
+from mixer_torch.solvers.projection import project_rows
 
-PROJECTIONS: dict[str, Callable[[Tensor], Tensor]] = {
-    "row_sum_at_most_one": project_to_row_sum_at_most_one,
-    "simplex": project_to_simplex,
-}
-
-ARMIJO = 1e-4
-SHRINK = 0.25
-GROW = 2.0
+ARMIJO = 1e-4  # share of the predicted decrease that a step must reach
+SHRINK, GROW = 0.25, 2.0  # of the step size, where it did not and where it did
+FIRST = 0.1  # d at the start, relative to where cost and penalties balance
+LEVEL_ITERATIONS = 50  # trial steps at most before d is doubled
+TOLERANCE = 1e-4  # movement of an entry, and violation an observation, that count as none
+DISTURBANCE = 0.05  # of U, where a level has ended at a point that breaks a constraint
+CHECK_EVERY = 10  # iterations between two looks by the host whether all problems are finished
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Where a descent ended, for each problem of the batch.
+def descend(
+    batch: Batch,
+    start: Float[Tensor, "B m k"],
+    *,
+    projection: str = "row_sum_at_most_one",
+    max_iterations: int = 1000,
+    seed: int = 0,
+) -> Descent:
+    """Minimise F_d for one d after the other, each from where the last one ended.
+
+    F_d, its gradient and constraints are those of :mod:`mixer_torch.solvers.relaxation`, with costs
+    divided by the largest one. d starts below where cost and
+    penalties balance (:func:`first_penalty`).
+    A level ends where a step moves no entry any more. A problem is finished if both penalties
+    vanish there; otherwise its d is doubled and U is disturbed a little, because rows may sit at a
+    saddle point, in equal parts in several columns, or at a vertex next to a lower one. From
+    d = m + 1 on the row sums are 1, as they are in the limit and in the authors' later version:
+    sums <= 1 approach it slowly. Each problem has its own step size and its own d, and stays as it
+    is once it is finished.
 
     Args:
-        assignment: (B, m, k) U.
-        iterations: (B,) steps tried until the problem was finished.
-        penalty: (B,) the last d.
-        violation: (B,) the sum of both penalties at U.
-        history: (T, B) relaxed objective at each iteration.
+        batch: The problems.
+        start: U to begin with.
+        projection: "row_sum_at_most_one", as in the paper, or "simplex".
+        max_iterations: Trial steps in all.
+        seed: Of the disturbances.
     """
+    scale = batch.cost.abs().amax((1, 2))
+    scale = torch.where(scale > 0, scale, 1.0)
+    cost = batch.cost / scale[:, None, None]
+    both = torch.cat([cost, batch.distinctness], 1)
+    size = batch.mask.sum(1)
+    loose = torch.full_like(size, projection == "row_sum_at_most_one", dtype=torch.bool)
+    at_most = loose
+    point = _measure(project_rows(start.clone(), batch.mask, at_most), both)
+    penalty = first_penalty(point.assignment, cost, batch.distinctness).clamp(1e-3, 1.0)
+    penalty = FIRST * penalty
+    stiffness = 2 * cost.abs().sum(2).amax(1)
+    step, level = 1 / (stiffness + 2 * penalty), torch.zeros_like(size)
+    finished = stuck = torch.zeros_like(size, dtype=torch.bool)
+    iterations = torch.zeros_like(size)
+    generator = torch.Generator(device=cost.device).manual_seed(seed)
+    history = []
+    for iteration in range(max_iterations):
+        gradient = point.gradient(penalty)
+        target = point.assignment - step[:, None, None] * gradient
+        new = _measure(project_rows(target, batch.mask, at_most), both)
+        move = new.assignment - point.assignment
+        before, after = point.objective(penalty), new.objective(penalty)
+        accept = (after <= before + ARMIJO * (gradient * move).sum((1, 2))) & ~finished
+        still = move.abs().amax((1, 2)) < TOLERANCE
+        point = _choose(accept, new, point)
+        history.append(torch.where(accept, after, before) * scale)
+        iterations = iterations + ~finished
+        level = level + 1
+        clean = (point.violation <= TOLERANCE * size) & (point.row_sum + size <= TOLERANCE)
+        finished = finished | (still & clean)
+        settled = (still | (level >= LEVEL_ITERATIONS)) & ~finished
+        stuck = stuck | settled
+        penalty = torch.where(settled, 2 * penalty, penalty)
+        step = step * torch.where(accept, GROW, SHRINK)
+        step = torch.where(settled, 1 / (stiffness + 2 * penalty), step)
+        level = torch.where(settled, 0, level)
+        at_most = loose & (penalty < size + 1)
+        if iteration % CHECK_EVERY == CHECK_EVERY - 1:
+            if bool(finished.all()):
+                break
+            point = _disturbed(point, stuck & ~finished, both, batch, generator)
+            stuck = torch.zeros_like(stuck)
+    return Descent(point.assignment, iterations, penalty, torch.stack(history))
 
-    assignment: Float[Tensor, "B m k"]
-    iterations: Int64[Tensor, " B"]
-    penalty: Float[Tensor, " B"]
-    violation: Float[Tensor, " B"]
-    history: Float[Tensor, "T B"]
+
+def first_penalty(
+    assignment: Float[Tensor, "B m k"],
+    cost: Float[Tensor, "B m m"],
+    distinctness: Float[Tensor, "B m m"],
+) -> Float[Tensor, " B"]:
+    """|median of −Ā / (U P_o + P_d U)| over the entries that are finite and not 0, else 1.
+
+    It balances the gradients of cost and penalties at U, up to the sign (a heuristic of the
+    authors' later version). Columns of Ā beyond the k of U are left out.
+    """
+    k = assignment.shape[-1]
+    scale = assignment.sum(-1, keepdim=True) - assignment + distinctness @ assignment
+    ratio = (cost[..., :k] / scale).abs()
+    ratio = torch.where((ratio > 0) & ratio.isfinite(), ratio, torch.nan)
+    return ratio.flatten(1).nanmedian(1).values.nan_to_num(1.0)
 
 
 @dataclass(frozen=True)
@@ -66,110 +129,42 @@ class _Point:
         return 2 * (self.cost_product + penalty[:, None, None] * violation)
 
 
-def _measure(assignment: Tensor, both: Tensor, mask: Tensor) -> _Point:
+def _measure(assignment: Tensor, both: Tensor) -> _Point:
     """The point U; ``both`` is Ā over P_d, (B, 2m, m), so that one product serves both."""
-    m = assignment.shape[1]
     products = both @ assignment
-    total = assignment.sum(-1)
-    square = total.square().sum(-1)
-    cost_product, distinctness_product = products[:, :m], products[:, m:]
-    shared = (assignment * distinctness_product).sum((-2, -1))
+    cost_product, distinctness_product = products.chunk(2, 1)
+    total = assignment.sum(2)
+    square = total.square().sum(1)
+    shared = (assignment * distinctness_product).sum((1, 2))
     return _Point(
         assignment,
         cost_product,
         distinctness_product,
-        (assignment * cost_product).sum((-2, -1)),
-        square - assignment.square().sum((-2, -1)) + shared,
-        square - 2 * total.sum(-1),
+        (assignment * cost_product).sum((1, 2)),
+        square - assignment.square().sum((1, 2)) + shared,
+        square - 2 * total.sum(1),
     )
 
 
 def _choose(accept: Tensor, new: _Point, old: _Point) -> _Point:
-    def pick(name: str) -> Tensor:
-        a, b = getattr(new, name), getattr(old, name)
-        return torch.where(accept.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+    """The new point for those problems that accept it."""
 
-    return _Point(**{name: pick(name) for name in _Point.__dataclass_fields__})
+    def pick(a: Tensor, b: Tensor) -> Tensor:
+        return torch.where(accept.view(-1, *[1] * (a.ndim - 1)), a, b)
 
-
-def first_penalty(
-    assignment: Float[Tensor, "B m k"],
-    cost: Float[Tensor, "B m m"],
-    distinctness: Float[Tensor, "B m m"],
-) -> Float[Tensor, " B"]:
-    """|median of −Ā / (U P_o + P_d U)| over the entries that are finite and not 0, else 1.
-
-    It balances the gradients of cost and penalties at U, up to the sign (a heuristic of the
-    authors' later version). It needs k = m; further columns of Ā are left out.
-    """
-    k = assignment.shape[-1]
-    scale = assignment.sum(-1, keepdim=True) - assignment + distinctness @ assignment
-    ratio = (cost[..., :k] / scale).abs()
-    ratio = torch.where((ratio > 0) & ratio.isfinite(), ratio, torch.nan)
-    return ratio.flatten(1).nanmedian(1).values.nan_to_num(1.0)
+    return _Point(*(pick(getattr(new, f.name), getattr(old, f.name)) for f in fields(_Point)))
 
 
-def descend(
-    cost: Float[Tensor, "B m m"],
-    distinctness: Float[Tensor, "B m m"],
-    mask: Bool[Tensor, "B m"],
-    start: Float[Tensor, "B m k"],
-    *,
-    projection: str = "row_sum_at_most_one",
-    max_iterations: int = 1000,
-    level_iterations: int = 50,
-    tolerance: float = 1e-4,
-    check_every: int = 10,
-) -> Descent:
-    """Projected gradient descent with Armijo backtracking, d doubled until both penalties vanish.
-
-    For each d, F_d is minimised from where the last one ended, until a step moves no entry by more
-    than the tolerance. Each problem has its own step size and its own d; those that are finished
-    stay as they are. The host looks every ``check_every`` iterations whether all are finished.
-
-    Args:
-        cost: Ā, scaled so that its largest entry is about 1.
-        distinctness: P_d.
-        mask: Which rows are observations; the others are padding.
-        start: U to begin with, feasible for the projection.
-        projection: "row_sum_at_most_one", as in the paper, or "simplex".
-        max_iterations: Trial steps in all.
-        level_iterations: Trial steps at most before d is doubled.
-        tolerance: Movement of an entry, and violation an observation, that count as none.
-        check_every: Iterations between two looks by the host.
-    """
-    project = PROJECTIONS[projection]
-    both = torch.cat([cost, distinctness], 1)
-    limit = mask.sum(1) + 1.0
-    keep = mask[..., None].to(start.dtype)
-    point = _measure(start * keep, both, mask)
-    penalty = first_penalty(point.assignment, cost, distinctness).clamp(1e-3, 1.0)
-    first_step = 0.5 / (cost.abs().sum(2).amax(1) + 1)
-    step = first_step.clone()
-    level = torch.zeros_like(step)
-    finished = torch.zeros_like(step, dtype=torch.bool)
-    iterations = torch.zeros_like(step, dtype=torch.int64)
-    history = []
-    for iteration in range(max_iterations):
-        gradient = point.gradient(penalty)
-        trial = project(point.assignment - step[:, None, None] * gradient) * keep
-        move = trial - point.assignment
-        new = _measure(trial, both, mask)
-        before, after = point.objective(penalty), new.objective(penalty)
-        accept = after <= before + ARMIJO * (gradient * move).sum((-2, -1))
-        accept &= ~finished
-        distance = move.abs().amax((-2, -1))
-        point = _choose(accept, new, point)
-        history.append(torch.where(accept, after, before))
-        iterations += ~finished
-        level += 1
-        settled = (distance < tolerance) | (level >= level_iterations)
-        clean = point.violation <= tolerance * mask.sum(1)
-        finished |= settled & ((clean & (distance < tolerance)) | (penalty >= limit))
-        penalty = torch.where(settled & ~finished, 2 * penalty, penalty)
-        level = torch.where(settled, 0, level)
-        step = torch.where(accept, GROW * step, SHRINK * step)
-        step = torch.where(settled, first_step, step)
-        if iteration % check_every == check_every - 1 and bool(finished.all()):
-            break
-    return Descent(point.assignment, iterations, penalty, point.violation, torch.stack(history))
+def _disturbed(
+    point: _Point,
+    chosen: Tensor,
+    both: Tensor,
+    batch: Batch,
+    generator: torch.Generator,
+) -> _Point:
+    """The point with some noise, the more the farther a row is from a vertex, where chosen."""
+    like = point.assignment
+    noise = torch.rand(like.shape[1:], generator=generator, dtype=like.dtype, device=like.device)
+    size = (1 - like.amax(2, keepdim=True)).clamp(min=DISTURBANCE)
+    target = project_rows(like + size * noise, batch.mask)
+    return _choose(chosen, _measure(target, both), point)

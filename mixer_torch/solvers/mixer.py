@@ -1,76 +1,95 @@
-"""MIXER: projected gradient descent on the relaxed problem of the paper."""
+"""MIXER: projected gradient descent on the relaxed problem of the paper, and refinement."""
 
 from __future__ import annotations
 
-from typing import Literal
-
-import torch
-from torch import Tensor
+from collections.abc import Callable, Sequence
+from typing import ClassVar, Literal, get_args
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver, is_distinct
-from mixer_torch.solvers.descent import PROJECTIONS, descend
-from mixer_torch.solvers.relaxation import distinctness_matrix, is_binary
-from mixer_torch.solvers.rounding import nearest_labels
+from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.gradient import GradientStage, Relaxed
+
+Schedule = Literal["anneal", "penalty"]
+Projection = Literal["row_sum_at_most_one", "simplex"]
+Precision = Literal["float32", "tf32", "bfloat16"]
+ITERATIONS = {"anneal": 100, "penalty": 1000}
 
 
 class Mixer(Solver):
     """Multimodal, multiway association by the continuous relaxation of the paper.
 
     Args:
-        max_iterations: Steps of the gradient descent at most.
-        projection: Constraint on the rows of U: "row_sum_at_most_one", as in the paper, or
-            "simplex" (row sum 1), as in the authors' later version.
-        seed: Of the small disturbance that breaks ties at the start.
+        max_iterations: Steps of the gradient stage at most; 100 for annealing, which always takes
+            all of them, and 1000 for the paper's schedule, if None.
+        schedule: How the relaxation becomes binary: "anneal" sweeps it from convex to concave,
+            "penalty" is the paper's, with doubled penalties and Armijo line search. If None,
+            "anneal" with refinement, "penalty" without.
+        projection: Constraint on the rows of U in the paper's schedule: "row_sum_at_most_one", as
+            in the paper, or "simplex" (row sum 1), as in the authors' later version. Annealing
+            needs row sums of 1.
+        refine: Whether discrete moves follow. Without, this is the algorithm of the paper.
+        restarts: Perturbed restarts of the refinement.
+        time_limit: Seconds, after which the best answer so far is returned; None for no limit.
+        seed: Of all random draws.
+        precision: Of the matrix products when annealing: "float32" (or float64, where the scores
+            are), "tf32" or "bfloat16".
+        progress: Told the fraction that is done, now and then.
+
+    Raises:
+        ValueError: An argument is out of range.
     """
+
+    takes_tokens: ClassVar[bool] = True
 
     def __init__(
         self,
-        max_iterations: int = 1000,
-        projection: Literal["row_sum_at_most_one", "simplex"] = "simplex",
+        max_iterations: int | None = None,
+        schedule: Schedule | None = None,
+        projection: Projection = "row_sum_at_most_one",
+        refine: bool = True,
+        restarts: int = 300,
+        time_limit: float | None = None,
         seed: int = 0,
+        precision: Precision = "float32",
+        progress: Callable[[float], None] | None = None,
     ) -> None:
-        if max_iterations < 1:
+        schedule = schedule or ("anneal" if refine else "penalty")
+        _check("schedule", schedule, Schedule)
+        _check("projection", projection, Projection)
+        _check("precision", precision, Precision)
+        if max_iterations is not None and max_iterations < 1:
             raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
-        if projection not in PROJECTIONS:
-            raise ValueError(
-                f"projection: expected one of {', '.join(PROJECTIONS)}, got {projection!r}"
-            )
-        self.max_iterations = max_iterations
-        self.projection = projection
+        if restarts < 0:
+            raise ValueError(f"restarts: expected at least 0, got {restarts}")
+        if time_limit is not None and not time_limit > 0:
+            raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
+        self.refine = refine
+        self.restarts = restarts
+        self.time_limit = time_limit
         self.seed = seed
+        self.progress = progress
+        iterations = max_iterations or ITERATIONS[schedule]
+        self.gradient = GradientStage(schedule, projection, iterations, seed, precision)
 
     def run(self, problem: Problem) -> Solution:
-        cost = problem.dense_cost()[None]
-        scale = cost.abs().amax()
-        cost = cost / torch.where(scale > 0, scale, torch.ones_like(scale))
-        distinctness = distinctness_matrix(problem.view, cost.dtype)[None]
-        mask = torch.ones_like(problem.view, dtype=torch.bool)[None]
-        result = descend(
-            cost,
-            distinctness,
-            mask,
-            self._start(cost),
-            projection=self.projection,
-            max_iterations=self.max_iterations,
-        )
-        assignment = result.assignment[0]
-        labels = assignment.argmax(1)
-        binary = bool(is_binary(assignment)) and is_distinct(labels, problem.view)
-        stats = {
-            "iterations": int(result.iterations[0]),
-            "history": (result.history[:, 0] * scale).tolist(),
-            "binary_without_rounding": binary,
-            "penalty": float(result.penalty[0]),
-            "violation": float(result.violation[0]),
-        }
-        if binary:
-            return Solution(Status.CONVERGED, labels=labels, stats=stats)
-        return Solution(Status.ROUNDED, nearest_labels(assignment, problem.view), stats=stats)
+        return self.run_batch([problem])[0]
 
-    def _start(self, cost: Tensor) -> Tensor:
-        """Eigenvectors of Ā, from the lowest eigenvalue up, projected row by row."""
-        generator = torch.Generator(device=cost.device).manual_seed(self.seed)
-        noise = torch.rand(cost.shape, generator=generator, dtype=cost.dtype, device=cost.device)
-        vectors = torch.linalg.eigh(cost).eigenvectors
-        return PROJECTIONS[self.projection](vectors + 1e-3 * noise)
+    def run_batch(self, problems: Sequence[Problem]) -> list[Solution]:
+        answers = dict(self.gradient.run(problems))
+        return [_solution(answers[i]) for i in range(len(problems))]
+
+
+def _solution(relaxed: Relaxed) -> Solution:
+    stats = {
+        "iterations": relaxed.iterations,
+        "history": relaxed.history,
+        "binary_without_rounding": relaxed.binary,
+        "penalty": relaxed.penalty,
+    }
+    status = Status.CONVERGED if relaxed.binary else Status.ROUNDED
+    return Solution(status, labels=relaxed.labels, stats=stats)
+
+
+def _check(name: str, value: str, choice: object) -> None:
+    if value not in get_args(choice):
+        raise ValueError(f"{name}: expected one of {', '.join(get_args(choice))}, got {value!r}")

@@ -130,7 +130,7 @@ def project_to_row_sum_at_most_one(rows: Float[Tensor, "*batch k"]) -> Float[Ten
 
 
 def is_binary(
-    assignment: Float[Tensor, "*batch m k"], tolerance: float = 1e-4
+    assignment: Float[Tensor, "*batch m k"], tolerance: float = 1e-2
 ) -> Bool[Tensor, "*batch"]:
     """Whether every row is, within the tolerance, one 1 and zeros."""
     distance = (assignment - assignment.round()).abs().amax((-2, -1))

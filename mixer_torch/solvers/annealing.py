@@ -1,0 +1,165 @@
+"""Graduated non-convexity: the relaxed problem, made convex first and concave last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from mixer_torch.solvers.batch import Batch, Descent
+from mixer_torch.solvers.projection import project_rows
+
+MOMENTUM = 0.5
+RELAXATION = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot
+CURVATURE = (-0.5, 0.4, 1.5)  # c when the sweep starts, when it ends, and after the finish
+DISTINCTNESS = (0.1, 0.8, 2.0)  # w at the same times
+FINISH = 0.2  # share of the iterations that is spent on the finish
+LANCZOS_STEPS = 16
+SMALL = 128  # observations up to which all eigenvalues are found as fast as the extreme ones
+
+
+def anneal(
+    batch: Batch,
+    columns: int,
+    *,
+    iterations: int = 100,
+    seed: int = 0,
+    precision: str = "float32",
+) -> Descent:
+    """Projected gradient descent while the problem turns from nearly convex to concave.
+
+        minimise  <U Uᵀ, Ā> / |λ| + w <U Uᵀ, P_d> − c ‖U‖²,  each row of U on the simplex
+
+    With row sums 1 the orthogonality penalty is m − ‖U‖², so −c ‖U‖² is the term d <Uᵀ U, P_o> of
+    the paper with c for d. For c <= λ, the least eigenvalue of Ā + w P_d, the problem is convex and
+    its solution has all columns alike; for c above the largest eigenvalue it is concave in every
+    direction and its solutions are vertices, which are binary. The sweep of c between the two
+    (Blake and Zisserman's graduated non-convexity; Zaslavskiy, Bach and Vert used it for graph
+    matching) passes from one to the other slowly enough that global structure is decided first.
+    A last, short sweep raises both coefficients until every row is at a vertex.
+
+    Each iteration is a step of 2 / L with momentum, L being the spectral norm of the curvature, for
+    all problems at once; the host waits for nothing. There is no line search: it would have
+    to look at an objective that changes in every step.
+
+    Args:
+        batch: The problems.
+        columns: k, the number of columns of U: an upper bound of the number of clusters, guessed.
+        iterations: Steps in all.
+        seed: Of the small disturbance from which the columns part.
+        precision: "float32" for matrix products in the dtype of the costs, "tf32" or "bfloat16".
+    """
+    cost, keep = batch.cost, batch.mask
+    low, high = extreme_eigenvalues(cost, seed)
+    scale = torch.where(low < 0, -low, 1.0)
+    cost = cost / scale[:, None, None]
+    curvature, weight = _sweep(iterations)
+    step = _steps(curvature, weight, high / scale, batch.distinctness.sum(2).amax(1))
+    hold = (1 + torch.tensor(curvature).to(step)[:, None, None, None] * step).unbind()
+    back = (-step).unbind()
+    previous = assignment = _first(batch, columns, seed)
+    multiply = _products(precision)
+    values = []
+    with _allowed_tf32(precision):
+        for t in range(iterations):
+            ahead = torch.lerp(previous, assignment, 1 + MOMENTUM)
+            matrix = torch.add(cost, batch.distinctness, alpha=weight[t])
+            product = multiply(matrix, ahead)
+            values.append(torch.linalg.vecdot(ahead.flatten(1), product.flatten(1)))
+            values.append(torch.linalg.vecdot(ahead.flatten(1), ahead.flatten(1)))
+            target = (ahead * hold[t]).addcmul_(product, back[t])
+            previous, assignment = assignment, project_rows(target, keep)
+    pair_cost, square = torch.stack(values).view(iterations, 2, -1).unbind(1)
+    concave = torch.tensor(curvature).to(square)[:, None] * (batch.mask.sum(1) - square)
+    count = torch.full_like(scale, iterations, dtype=torch.int64)
+    penalty = torch.full_like(scale, DISTINCTNESS[-1])
+    return Descent(assignment, count, penalty, (pair_cost + concave) * scale)
+
+
+def _first(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:
+    """Every row near the middle of the simplex, disturbed alike in each problem."""
+    cost = batch.cost
+    generator = torch.Generator(device=cost.device).manual_seed(seed)
+    shape = cost.shape[1], columns
+    noise = torch.rand(shape, generator=generator, dtype=cost.dtype, device=cost.device)
+    start = (1 / columns + 0.3 * noise).expand(len(batch), *shape).contiguous()
+    return project_rows(start, batch.mask)
+
+
+def _steps(
+    curvature: list[float], weight: list[float], high: Tensor, crowd: Tensor
+) -> Float[Tensor, "T B 1 1"]:
+    """2 / L at each iteration: L bounds what the curvature does in any direction.
+
+    The eigenvalues of Ā / |λ| + w P_d − c I lie between −1 − w − c, as P_d is a union of cliques
+    for which no eigenvalue is below −1, and high + w crowd − c.
+    """
+    c, w = (torch.tensor(list_, dtype=high.dtype) for list_ in (curvature, weight))
+    c, w = (value.to(high.device)[:, None] for value in (c, w))
+    bound = torch.maximum((high + w * crowd - c).abs(), 1 + w + c)
+    return (RELAXATION / bound)[..., None, None]
+
+
+def extreme_eigenvalues(
+    matrix: Float[Tensor, "B m m"], seed: int = 0
+) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+    """Least and largest eigenvalue of symmetric matrices.
+
+    Exact for small ones; of large ones by a few steps of Lanczos' method, good to about a hundredth
+    of the spectrum's width, from the inside.
+    """
+    B, m, _ = matrix.shape
+    if m <= SMALL:
+        spectrum = torch.linalg.eigvalsh(matrix)
+        return spectrum[:, 0], spectrum[:, -1]
+    steps = min(LANCZOS_STEPS, m)
+    generator = torch.Generator(device=matrix.device).manual_seed(seed)
+    first = torch.randn(m, generator=generator, dtype=matrix.dtype, device=matrix.device)
+    basis = matrix.new_zeros(B, steps, m)
+    basis[:, 0] = first / first.norm()
+    for i in range(steps - 1):
+        vector = (matrix @ basis[:, i, :, None])[..., 0]
+        for _ in range(2):  # once more, for what rounding left of the first time
+            inside = basis[:, : i + 1]
+            vector = vector - (inside.mT @ (inside @ vector[..., None]))[..., 0]
+        length = vector.norm(dim=1, keepdim=True)
+        basis[:, i + 1] = torch.where(length > 1e-6, vector / length.clamp(min=1e-6), 0)
+    ritz = torch.linalg.eigvalsh(basis @ matrix @ basis.mT)
+    return ritz[:, 0], ritz[:, -1]
+
+
+def _sweep(iterations: int) -> tuple[list[float], list[float]]:
+    """Coefficients c and w at each iteration: a straight line, then a steeper one."""
+    finish = int(FINISH * iterations)
+    first = iterations - finish
+    done = [(t + 1) / first for t in range(first)] + [1 + (t + 1) / finish for t in range(finish)]
+    curvature, weight = (np.interp(done, [0, 1, 2], x) for x in (CURVATURE, DISTINCTNESS))
+    return curvature.tolist(), weight.tolist()
+
+
+def _products(precision: str) -> Any:
+    if precision != "bfloat16":
+        return torch.bmm
+
+    def multiply(a: Tensor, b: Tensor) -> Tensor:
+        return torch.bmm(a.bfloat16(), b.bfloat16()).to(b.dtype)
+
+    return multiply
+
+
+@contextmanager
+def _allowed_tf32(precision: str) -> Iterator[None]:
+    """TF32 for the products inside, where it was asked for; torch has no switch for one product."""
+    before = torch.backends.cuda.matmul.allow_tf32
+    if precision == "tf32":
+        torch.backends.cuda.matmul.allow_tf32 = True
+    try:
+        yield
+    finally:
+        if precision == "tf32":
+            torch.backends.cuda.matmul.allow_tf32 = before

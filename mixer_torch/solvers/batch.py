@@ -1,0 +1,105 @@
+"""Problems of different sizes as one padded batch of dense matrices, and its result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from mixer_torch.solvers.base import Problem
+
+ENTRIES = 2**22
+
+
+@dataclass(frozen=True)
+class Batch:
+    """B problems of at most m observations, as dense matrices; the rest of each is padding.
+
+    Args:
+        cost: Ā of each problem, 0 in the padding.
+        distinctness: P_d of each problem, 0 in the padding.
+        mask: Which rows are observations.
+    """
+
+    cost: Float[Tensor, "B m m"]
+    distinctness: Float[Tensor, "B m m"]
+    mask: Bool[Tensor, "B m"]
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem]) -> Batch:
+        """The batch of some problems of one dtype on one device."""
+        size = torch.tensor([len(problem) for problem in problems])
+        m = int(size.max())
+        like = problems[0].cost
+        cost = like.new_zeros(len(problems), m, m)
+        count = torch.tensor([problem.pairs.shape[1] for problem in problems])
+        which = torch.repeat_interleave(torch.arange(len(problems)), count).to(like.device)
+        a, b = torch.cat([problem.pairs for problem in problems], 1)
+        value = torch.cat([problem.cost.detach() for problem in problems])
+        cost[which, a, b] = value
+        cost[which, b, a] = value
+        mask = (torch.arange(m) < size[:, None]).to(like.device)
+        return cls(cost, _distinctness(problems, mask, like), mask)
+
+    def __len__(self) -> int:
+        """B, the number of problems."""
+        return len(self.mask)
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Where a gradient stage ended, for each problem of the batch.
+
+    Args:
+        assignment: U, 0 in the padding.
+        iterations: Steps until the problem was finished.
+        penalty: The last coefficient of the penalties, relative to the scale of the costs.
+        history: Relaxed objective at each iteration.
+    """
+
+    assignment: Float[Tensor, "B m k"]
+    iterations: Int64[Tensor, " B"]
+    penalty: Float[Tensor, " B"]
+    history: Float[Tensor, "T B"]
+
+
+def buckets(problems: Sequence[Problem], entries: int = ENTRIES) -> Iterator[list[int]]:
+    """Indices of problems that go well into one batch: alike in size, and not too many.
+
+    Sizes within a bucket differ by at most a quarter (and 8), so that little of the work is spent
+    on padding; a bucket's matrices have at most so many entries, unless it holds one problem.
+    """
+    order = sorted(range(len(problems)), key=lambda i: (str(_kind(problems[i])), -len(problems[i])))
+    bucket: list[int] = []
+    for i in order:
+        if bucket:
+            largest = len(problems[bucket[0]])
+            full = (len(bucket) + 1) * largest**2 > entries
+            small = len(problems[i]) < 0.75 * largest - 8
+            if full or small or _kind(problems[i]) != _kind(problems[bucket[0]]):
+                yield bucket
+                bucket = []
+        bucket.append(i)
+    if bucket:
+        yield bucket
+
+
+def _kind(problem: Problem) -> tuple[torch.dtype, torch.device]:
+    return problem.cost.dtype, problem.cost.device
+
+
+def _distinctness(problems: Sequence[Problem], mask: Tensor, like: Tensor) -> Tensor:
+    m = mask.shape[1]
+    if all(problem.tokens is None for problem in problems):
+        view = torch.full(mask.shape, -1, device=like.device)
+        view[mask] = torch.cat([problem.view for problem in problems])
+        apart = (view[:, :, None] == view[:, None, :]) & mask[:, :, None]
+        apart.diagonal(dim1=1, dim2=2).fill_(False)
+        return apart.to(like.dtype)
+    apart = like.new_zeros(len(problems), m, m)
+    for matrix, problem in zip(apart, problems, strict=True):
+        matrix[: len(problem), : len(problem)] = problem.apart()
+    return apart
