@@ -17,7 +17,13 @@ from torch import Tensor
 FORMAT = "mixer-torch observations 1"
 FLOAT_FEATURES = {"time": torch.float64, "box": torch.float32, "position": torch.float32}
 INT_FEATURES = ("frame", "camera", "identity")
-WIDTHS = {"box": 4, "position": 3}
+SHAPES: dict[str, tuple[int | str, ...]] = {
+    "time": (),
+    "confidence": (),
+    "box": (4,),
+    "position": (3,),
+    "embedding": ("d",),
+}
 
 
 class FolderFrames(Sequence[np.ndarray]):
@@ -40,7 +46,7 @@ class FolderFrames(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self.paths)
 
-    def __getitem__(self, index: Any) -> np.ndarray:
+    def __getitem__(self, index: Any) -> Any:
         import cv2
 
         data = np.fromfile(self.paths[index], dtype=np.uint8)
@@ -79,7 +85,7 @@ class VideoFrames(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return self._length
 
-    def __getitem__(self, index: Any) -> np.ndarray:
+    def __getitem__(self, index: Any) -> Any:
         import cv2
 
         if not 0 <= index < self._length:
@@ -110,7 +116,8 @@ class Images:
             and never empty: a box outside of it gives the nearest pixel.
     """
 
-    def __init__(self, frames: Sequence[np.ndarray], frame: Any, box: Any = None) -> None:
+    # Sequence[Any], as a type checker at run time would decode a frame to see what it is.
+    def __init__(self, frames: Sequence[Any], frame: Any, box: Any = None) -> None:
         self.frames = frames
         self.frame_index = np.asarray(frame, dtype=np.int64)
         self.box = None if box is None else np.asarray(box, dtype=np.float64)
@@ -129,24 +136,24 @@ class Images:
         return len(self.frame_index)
 
     def frame(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
-        """The whole frame that observation i was seen in; the latest one is kept."""
+        """The whole frame of observation i, not to be written to; the latest one is kept."""
         index = int(self.frame_index[i])
         if self._cached is None or self._cached[0] != index:
             self._cached = (index, self.frames[index])
         return self._cached[1]
 
     def crop(self, i: int) -> UInt8[np.ndarray, "height width 3"]:
-        """The pixels inside the box of observation i, RGB."""
+        """The pixels inside the box of observation i, RGB: a copy, which holds no frame alive."""
         frame = self.frame(i)
         if self.box is None:
-            return frame
+            return frame.copy()
         height, width = frame.shape[:2]
         x1, y1, x2, y2 = np.nan_to_num(self.box[i])
         left = int(np.clip(np.floor(x1), 0, width - 1))
         top = int(np.clip(np.floor(y1), 0, height - 1))
         right = int(np.clip(np.ceil(x2), left + 1, width))
         bottom = int(np.clip(np.ceil(y2), top + 1, height))
-        return frame[top:bottom, left:right]
+        return frame[top:bottom, left:right].copy()
 
     def crops(self) -> Iterator[tuple[int, UInt8[np.ndarray, "height width 3"]]]:
         """All (i, crop) in frame order: every frame is decoded once, one is held at a time."""
@@ -169,7 +176,7 @@ class Images:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations:
     """m things seen, as a frozen struct of arrays.
 
@@ -197,7 +204,7 @@ class Observations:
         object.__setattr__(self, "view", view)
         features = {}
         for name, value in self.features.items():
-            features[name] = _feature(name, value, len(view))
+            features[name] = _feature(name, value, view)
         object.__setattr__(self, "features", MappingProxyType(features))
         if self.images is not None and len(self.images) != len(view):
             raise ValueError(
@@ -221,8 +228,13 @@ class Observations:
     def select(self, index: Tensor) -> Observations:
         """Some of the observations: a mask (m,) bool, or indices in the order wanted."""
         index = torch.as_tensor(index, device=self.device)
-        if index.dtype == torch.bool:
+        if index.dtype == torch.bool and len(self):
+            if index.shape != self.view.shape:
+                raise ValueError(
+                    f"index: expected a mask of shape ({len(self)},), got {tuple(index.shape)}"
+                )
             index = index.nonzero()[:, 0]
+        index = integers("index", index)
         features = {name: value[index] for name, value in self.features.items()}
         images = None if self.images is None else self.images.select(index.cpu().numpy())
         return Observations(self.view[index], features, images)
@@ -244,7 +256,8 @@ class Observations:
             ValueError: The frames are in memory and not in files.
         """
         arrays: dict[str, Any] = {"format": np.array(FORMAT), "view": self.view.cpu().numpy()}
-        arrays |= {f"feature/{name}": value.cpu().numpy() for name, value in self.features.items()}
+        for name, value in self.features.items():
+            arrays[f"feature/{name}"] = value.detach().cpu().numpy()
         if self.images is not None:
             arrays["images"] = np.array(self.images._reference())
             arrays["images/frame"] = self.images.frame_index
@@ -282,7 +295,7 @@ def distinct_views(view: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
 
 def integers(name: str, value: Any) -> Tensor:
     """A one-dimensional int64 tensor, or a ValueError that names the argument."""
-    tensor = torch.as_tensor(value)
+    tensor = _tensor(name, value)
     if tensor.numel() == 0 and tensor.ndim == 1:
         return tensor.to(torch.int64)
     if tensor.ndim != 1 or tensor.dtype.is_floating_point or tensor.dtype == torch.bool:
@@ -325,18 +338,28 @@ def load_npz(path: str | Path, kind: str) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _feature(name: str, value: Any, m: int) -> Tensor:
-    tensor = torch.as_tensor(value)
-    if tensor.ndim == 0 or len(tensor) != m:
-        raise ValueError(
-            f"features[{name!r}]: expected leading dimension {m}, got shape {tuple(tensor.shape)}"
-        )
-    if name in INT_FEATURES:
-        return integers(f"features[{name!r}]", tensor)
-    if name in WIDTHS and tensor.shape[1:] != (WIDTHS[name],):
-        raise ValueError(
-            f"features[{name!r}]: expected shape ({m}, {WIDTHS[name]}), got {tuple(tensor.shape)}"
-        )
-    if name == "time" and tensor.ndim != 1:
-        raise ValueError(f"features['time']: expected shape ({m},), got {tuple(tensor.shape)}")
-    return tensor.to(FLOAT_FEATURES.get(name, tensor.dtype))
+def _tensor(name: str, value: Any) -> Tensor:
+    try:
+        return torch.as_tensor(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        kind = type(value).__name__
+        raise ValueError(f"{name}: expected numbers, got {kind}: {error}") from error
+
+
+def _feature(key: str, value: Any, view: Tensor) -> Tensor:
+    name, m = f"features[{key!r}]", len(view)
+    tensor = _tensor(name, value)
+    shape = tuple(tensor.shape)
+    if not shape or shape[0] != m:
+        raise ValueError(f"{name}: expected leading dimension {m}, got shape {shape}")
+    if tensor.device != view.device:
+        raise ValueError(f"{name}: expected the device of view, {view.device}, got {tensor.device}")
+    if key in INT_FEATURES:
+        return integers(name, tensor)
+    expected = (m, *SHAPES.get(key, shape[1:]))
+    if len(shape) != len(expected) or any(
+        size not in ("d", found) for size, found in zip(expected, shape, strict=True)
+    ):
+        wanted = str(expected).replace("'", "")
+        raise ValueError(f"{name}: expected shape {wanted}, got {shape}")
+    return tensor.to(FLOAT_FEATURES.get(key, tensor.dtype))

@@ -3,6 +3,8 @@
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.datasets.landmarks import Landmarks
 from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.datasets.parking_lot import ParkingLot
+from mixer_torch.datasets.persons import Persons
 from mixer_torch.datasets.table import Table
 
-__all__ = ["Dataset", "Landmarks", "MOTChallenge", "Table"]
+__all__ = ["Dataset", "Landmarks", "MOTChallenge", "ParkingLot", "Persons", "Table"]

@@ -1,0 +1,82 @@
+"""Crops of persons, a folder for each, from several cameras: re-identification."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.observations import FolderFrames, Images, Observations
+
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png")
+
+
+class Persons(Dataset):
+    """One image an observation: ``<person>/<camera>_<orientation>.png``.
+
+    All three are numbers, as in ``007/02_5.png``; images may be png, jpg or bmp. An image is no
+    part of a view (-1): any two may show the same person. Order: person, camera, orientation.
+
+    Features: ``identity``, the person; ``camera``; ``orientation``; ``box``, the whole image.
+
+    Args:
+        path: The folder, as it is or inside ``$MIXER_DATA``.
+        cameras: Cameras to read; all if None.
+        orientations: Orientations to read; all if None.
+        limit: How many persons to read, the first in order; all if None.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        cameras: Sequence[int] | None = None,
+        orientations: Sequence[int] | None = None,
+        limit: int | None = None,
+    ) -> None:
+        if limit is not None and limit < 0:
+            raise ValueError(f"limit: expected 0 or more, got {limit}")
+        self.path = Path(path)
+        self.cameras = cameras
+        self.orientations = orientations
+        self.limit = limit
+
+    def load(self) -> Observations:
+        folder = find(self.path)
+        found = sorted(
+            (*_numbers(file), file)
+            for file in folder.glob("*/*")
+            if file.suffix.lower() in SUFFIXES
+        )
+        if not found:
+            raise FileNotFoundError(f"{folder}: no image is in <person>/<camera>_<orientation>.png")
+        persons = sorted({person for person, *_ in found})[: self.limit]
+        chosen = [
+            row
+            for row in found
+            if row[0] in persons
+            and (self.cameras is None or row[1] in self.cameras)
+            and (self.orientations is None or row[2] in self.orientations)
+        ]
+        frames = FolderFrames([file for *_, file in chosen])
+        sizes = [frame.shape[1::-1] for frame in frames]
+        box = np.zeros((len(chosen), 4), dtype=np.float32)
+        box[:, 2:] = np.array(sizes).reshape(-1, 2)
+        numbers = np.array([row[:3] for row in chosen], dtype=np.int64).reshape(-1, 3)
+        names = ("identity", "camera", "orientation")
+        features = {name: torch.from_numpy(numbers[:, k].copy()) for k, name in enumerate(names)}
+        features["box"] = torch.from_numpy(box)
+        view = torch.full((len(chosen),), -1)
+        return Observations(view, features, Images(frames, np.arange(len(chosen)), box))
+
+
+def _numbers(file: Path) -> tuple[int, int, int]:
+    """Person, camera and orientation."""
+    match = re.fullmatch(r"(\d+)/(\d+)_(\d+)", f"{file.parent.name}/{file.stem}")
+    if match is None:
+        raise ValueError(f"{file}: expected a name like 007/02_5.png, person/camera_orientation")
+    person, camera, orientation = map(int, match.groups())
+    return person, camera, orientation

@@ -1,0 +1,38 @@
+"""What holds for all datasets."""
+
+import subprocess
+import sys
+
+import pytest
+
+import mixer_torch.datasets
+from mixer_torch.datasets.base import Dataset, find
+
+
+@pytest.mark.parametrize("name", mixer_torch.datasets.__all__)
+def test_exported_classes_are_datasets(name):
+    assert issubclass(getattr(mixer_torch.datasets, name), Dataset)
+
+
+def test_importing_datasets_imports_no_opencv():
+    heavy = "cv2", "matplotlib", "lightning"
+    code = f"import sys, mixer_torch.datasets; print([n for n in {heavy} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_find(tmp_path, monkeypatch):
+    (tmp_path / "data" / "a").mkdir(parents=True)
+    (tmp_path / "b").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MIXER_DATA", raising=False)
+    assert find("b").is_dir()
+    with pytest.raises(FileNotFoundError, match="MIXER_DATA, where else to look, is not set"):
+        find("a")
+    monkeypatch.setenv("MIXER_DATA", str(tmp_path / "data"))
+    assert find("a") == tmp_path / "data" / "a"
+    assert find("b").is_dir()
+    with pytest.raises(FileNotFoundError, match=r"c and .*data/c: not found$"):
+        find("c")
+    with pytest.raises(FileNotFoundError, match=r"^/nowhere/at/all: not found$"):
+        find("/nowhere/at/all")
