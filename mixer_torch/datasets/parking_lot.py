@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 SUN_HEIGHT = math.radians(36)
 COARSE = 0.5  # pixels of the depth image that detections are made from, per pixel of the frame
 MIN_HEIGHT = 0.056  # of a detected box, as a share of the image's
-MIN_VISIBLE = 0.3  # share of a car's silhouette that others leave visible
-MIN_INSIDE = 0.25  # share of a car's box that is inside the image
+MIN_VISIBLE = 0.2  # share of a car's silhouette that others leave visible
+MIN_INSIDE = 0.2  # share of a car's box that is inside the image
 MIN_POINTS = 5
 MAX_RANGE = 60.0  # metres
 SCAN = (5, 2)  # rows and columns of the depth image between two beams of the range sensor
@@ -71,8 +71,8 @@ class ParkingLot(Dataset):
         width: int = 640,
         height: int = 480,
         frame_rate: float = 2.0,
-        speed: float = 2.1,
-        odometry_drift: float = 0.15,
+        speed: float = 1.9,
+        odometry_drift: float = 0.2,
         box_jitter: float = 0.03,
         miss_rate: float = 0.08,
         range_noise: float = 0.1,
@@ -111,7 +111,13 @@ class ParkingLot(Dataset):
     def load(self) -> Observations:
         world = self.world()
         generator = np.random.default_rng([self.seed, 3])
-        rows: dict[str, list] = {"frame": [], "box": [], "position": [], "confidence": [], "identity": []}
+        rows: dict[str, list] = {
+            "frame": [],
+            "box": [],
+            "position": [],
+            "confidence": [],
+            "identity": [],
+        }
         for frame, (camera, correction) in enumerate(zip(world.cameras, world.drift, strict=True)):
             sight = look(world.scene, camera)
             found = self._detect(sight, generator)
@@ -282,9 +288,7 @@ def _depth(camera: Camera, nearest: np.ndarray) -> np.ndarray:
         return np.where(nearest > 0, 1 / nearest.astype(float), ground)
 
 
-def odometry_error(
-    poses: np.ndarray, drift: float, generator: np.random.Generator
-) -> np.ndarray:
+def odometry_error(poses: np.ndarray, drift: float, generator: np.random.Generator) -> np.ndarray:
     """The rigid motions (n, 4) that take the true world to the world as odometry believes it.
 
     Steps are measured in the vehicle's frame with a heading that is off by a constant rate and a

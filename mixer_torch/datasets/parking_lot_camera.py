@@ -17,6 +17,7 @@ CAMERA_HEIGHT = 0.95  # metres
 CORNER = 3.2  # radius of the path at the ends of the rows, metres
 SUPERSAMPLING = 1.5
 JPEG_QUALITY = 93
+CODES = 4096  # steps of the sensor before the tone curve
 
 
 def drive(layout: Layout, distances: np.ndarray, generator: np.random.Generator) -> np.ndarray:
@@ -28,7 +29,7 @@ def drive(layout: Layout, distances: np.ndarray, generator: np.random.Generator)
     start = 0.3 * layout.length
     sway = _waves(distances, (11.0, 27.0), generator)
     path = np.array([_loop(layout, start + s) for s in distances]).reshape(-1, 3)
-    sideways = 0.45 * sway[:, None] * np.stack([-np.sin(path[:, 2]), np.cos(path[:, 2])], axis=1)
+    sideways = 0.6 * sway[:, None] * np.stack([-np.sin(path[:, 2]), np.cos(path[:, 2])], axis=1)
     heading = path[:, 2] + math.radians(3) * _waves(distances, (9.0, 19.0), generator)
     return np.concatenate([path[:, :2] + sideways, heading[:, None]], axis=1)
 
@@ -86,12 +87,12 @@ def mount(
         size: Width and height in pixels.
         generator: Draws.
     """
-    pan = poses[:, 2] + math.radians(5) + math.radians(13) * _waves(distances, (31.0,), generator)
+    pan = poses[:, 2] + math.radians(16) + math.radians(12) * _waves(distances, (31.0,), generator)
     shake = generator.normal(0, math.radians(0.5), (len(poses), 2))
     focal = size[0] / 2 / math.tan(FIELD_OF_VIEW / 2)
     cameras = []
     for (x, y, _), yaw, (pitch, roll) in zip(poses, pan, shake, strict=True):
-        pitch = pitch - math.radians(2.5)
+        pitch = pitch - math.radians(1.0)
         level = math.cos(pitch)
         forward = np.array([level * math.cos(yaw), level * math.sin(yaw), math.sin(pitch)])
         right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
@@ -181,23 +182,37 @@ def develop(
     import cv2
 
     height, width = light.shape[:2]
-    small = cv2.resize(np.minimum(light, 12.0), (width // 8, height // 8), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        np.minimum(light, 12.0), (width // 8, height // 8), interpolation=cv2.INTER_AREA
+    )
     glare = cv2.GaussianBlur(np.maximum(small - 0.9, 0), (0, 0), width / 90)
     glare += 0.5 * cv2.GaussianBlur(np.maximum(small - 0.9, 0), (0, 0), width / 30)
     light = light + 0.10 * harshness * cv2.resize(glare, (width, height))
     metered = float(np.exp(np.log(small.mean(axis=2) + 0.02).mean()))
-    rows, columns = np.mgrid[:height, :width]
-    radius = ((columns - width / 2) ** 2 + (rows - height / 2) ** 2) / (width / 2) ** 2
-    gain = (0.30 * exposure / metered) * (1 - 0.22 * radius)
-    image = light * (gain[..., None] * np.asarray(tint)).astype(np.float32)
-    grey = image.mean(axis=2, keepdims=True)
-    image = grey + (0.85 - 0.15 * min(harshness, 2.0)) * (image - grey)
-    image = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.55)
-    noise = generator.standard_normal(image.shape, dtype=np.float32)
-    image = image + noise * (0.006 + 0.012 * np.sqrt(np.clip(image, 0, 1)))
-    steep = 1.0 + 0.20 * harshness
-    image = np.clip(image * steep - 0.012 * harshness, 0, 1) ** (1 / 2.2)
-    return (255 * image + 0.5).astype(np.uint8)
+    column = (np.arange(width, dtype=np.float32) - width / 2) ** 2 / (width / 2) ** 2
+    row = (np.arange(height, dtype=np.float32)[:, None] - height / 2) ** 2 / (width / 2) ** 2
+    vignette = 1 - 0.22 * (column + row)
+    saturation = 0.85 - 0.15 * min(harshness, 2.0)
+    mix = saturation * np.eye(3) + (1 - saturation) / 3
+    mix = mix @ np.diag(np.asarray(tint) * 0.30 * exposure / metered)
+    image = cv2.transform(light * vignette[..., None], mix.astype(np.float32))
+    image = cv2.GaussianBlur(np.clip(image, 0, 1.5), (0, 0), 0.55)
+    image += _noise(image, generator)
+    image = image * (1.0 + 0.20 * harshness) - 0.012 * harshness
+    curve = 255 * np.linspace(0, 1, CODES) ** (1 / 2.2) + 0.5
+    codes = (np.clip(image, 0, 1) * (CODES - 1)).astype(np.uint16)
+    return curve.astype(np.uint8)[codes]
+
+
+def _noise(image: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Shot and read noise: stronger, but less than in proportion, where it is bright."""
+    import cv2
+
+    noise = generator.standard_normal((128, 128, 3), dtype=np.float32)
+    tiles = [-(-side // 128) + 1 for side in image.shape[:2]]
+    row, column = generator.integers(0, 128, 2)
+    noise = np.tile(noise, (*tiles, 1))[row:, column:][: image.shape[0], : image.shape[1]]
+    return cv2.multiply(np.ascontiguousarray(noise), 0.006 + 0.012 * cv2.sqrt(image))
 
 
 def _drifting(generator: np.random.Generator, count: int, size: float) -> np.ndarray:

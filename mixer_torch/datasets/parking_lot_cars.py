@@ -118,7 +118,16 @@ def _rings(body: Body) -> np.ndarray:
     roof = half * (0.93 - 0.19 * cabin)
     heights = [sill, sill + 0.07, middle, shoulder - 0.05, shoulder, shoulder + 0.86 * rise,
                shoulder + 0.97 * rise, top]  # fmt: skip
-    widths = [0.90 * half, 0.985 * half, half, 0.975 * half, 0.93 * half, roof, 0.80 * roof, 0 * half]
+    widths = [
+        0.90 * half,
+        0.985 * half,
+        half,
+        0.975 * half,
+        0.93 * half,
+        roof,
+        0.80 * roof,
+        0 * half,
+    ]
     left = np.stack([np.stack(widths, 1), np.stack(heights, 1)], axis=2)
     right = left[:, -2::-1] * [-1, 1]
     section = np.concatenate([left, right], axis=1)

@@ -15,7 +15,14 @@ SEAM = 0.014  # width of the gap around a door, metres
 RED_LAMP = (150, 16, 14)
 AMBER_LAMP = (205, 110, 20)
 CLEAR_LAMP = (215, 222, 226)
-STICKERS = ((225, 40, 45), (35, 85, 200), (245, 205, 40), (40, 150, 75), (240, 240, 240), (20, 20, 20))
+STICKERS = (
+    (225, 40, 45),
+    (35, 85, 200),
+    (245, 205, 40),
+    (40, 150, 75),
+    (240, 240, 240),
+    (20, 20, 20),
+)
 LETTERS = "ABCDEFGHJKLMNPRSTUVWXYZ"
 
 
@@ -215,9 +222,7 @@ def _sticker(canvas: Canvas, x: float, y: float, size: float, generator: Any) ->
         canvas.text(x + 0.1 * size, y + 0.2 * size, words, 0.6 * size, mark)
 
 
-def _side_details(
-    canvas: Canvas, body: Body, panel: float, generator: np.random.Generator
-) -> None:
+def _side_details(canvas: Canvas, body: Body, panel: float, generator: np.random.Generator) -> None:
     """Scratches and mud on each side, now and then a sticker; lettering on a van's panel."""
     width = canvas.size[0]
     for _ in range(generator.integers(1, 5)):
@@ -285,7 +290,10 @@ def _rim(body: Body, generator: np.random.Generator) -> Canvas:
     canvas.ellipse(r, r, 0.64 * r, 0.64 * r, (30, 30, 32), MATTE)
     for spoke in range(body.rim):
         angle = turn + 2 * np.pi * spoke / body.rim
-        along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        along, across = (
+            np.array([np.cos(angle), np.sin(angle)]),
+            np.array([-np.sin(angle), np.cos(angle)]),
+        )
         thin = (0.12 if body.rim > 6 else 0.20) * r
         tip, root = r + 0.66 * r * along, r + 0.1 * r * along
         canvas.polygon(

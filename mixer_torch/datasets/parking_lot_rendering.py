@@ -151,18 +151,14 @@ def rasterise(screen: np.ndarray, mesh: Mesh, atlas: Atlas, nearest: np.ndarray)
     return face
 
 
-def coverage(
-    screen: np.ndarray, mesh: Mesh, shape: tuple[int, int], count: int
-) -> np.ndarray:
+def coverage(screen: np.ndarray, mesh: Mesh, shape: tuple[int, int], count: int) -> np.ndarray:
     """Number of pixels inside each of a count of cars' silhouettes, whatever stands in front."""
     covered = np.zeros(count, np.int64)
     _coverage(screen, mesh.faces, mesh.owner, np.full(shape, -1, np.int32), covered)
     return covered
 
 
-def shade(
-    camera: Camera, mesh: Mesh, atlas: Atlas, ground: Any, light: Light
-) -> np.ndarray:
+def shade(camera: Camera, mesh: Mesh, atlas: Atlas, ground: Any, light: Light) -> np.ndarray:
     """(height, width, 3) float32 linear RGB of the scene; a ground is what is seen at z = 0."""
     screen = camera.project(mesh.vertices)
     nearest = np.zeros((camera.height, camera.width), np.float32)
@@ -197,14 +193,15 @@ def _twice_area(corners: np.ndarray) -> np.ndarray:
     return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _rasterise(screen, faces, uv, tile, cut, table, texels, nearest, face):
     height, width = nearest.shape
     for t in range(len(faces)):
-        ax, ay, az = screen[faces[t, 0]]
-        bx, by, bz = screen[faces[t, 1]]
-        cx, cy, cz = screen[faces[t, 2]]
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ax, ay, az = screen[a, 0], screen[a, 1], screen[a, 2]
+        bx, by, bz = screen[b, 0], screen[b, 1], screen[b, 2]
+        cx, cy, cz = screen[c, 0], screen[c, 1], screen[c, 2]
         if az <= 0.0 or bz <= 0.0 or cz <= 0.0:
             continue
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
@@ -230,7 +227,8 @@ def _rasterise(screen, faces, uv, tile, cut, table, texels, nearest, face):
                     pa, pb, pc = wa * az / z, wb * bz / z, wc * cz / z
                     u = pa * uv[t, 0, 0] + pb * uv[t, 1, 0] + pc * uv[t, 2, 0]
                     v = pa * uv[t, 0, 1] + pb * uv[t, 1, 1] + pc * uv[t, 2, 1]
-                    offset, h, w = table[tile[t], 0]
+                    k = tile[t]
+                    offset, h, w = table[k, 0, 0], table[k, 0, 1], table[k, 0, 2]
                     r = min(h - 1, max(0, int(v * h)))
                     c = min(w - 1, max(0, int(u * w)))
                     if texels[offset + r * w + c, 3] == CUT:
@@ -239,7 +237,7 @@ def _rasterise(screen, faces, uv, tile, cut, table, texels, nearest, face):
                 face[i, j] = t
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _coverage(screen, faces, owner, stamp, covered):
     """Counts a pixel once for a car: its triangles follow one another, and leave their stamp."""
@@ -247,9 +245,10 @@ def _coverage(screen, faces, owner, stamp, covered):
     for t in range(len(faces)):
         if owner[t] < 0:
             continue
-        ax, ay, az = screen[faces[t, 0]]
-        bx, by, bz = screen[faces[t, 1]]
-        cx, cy, cz = screen[faces[t, 2]]
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ax, ay, az = screen[a, 0], screen[a, 1], screen[a, 2]
+        bx, by, bz = screen[b, 0], screen[b, 1], screen[b, 2]
+        cx, cy, cz = screen[c, 0], screen[c, 1], screen[c, 2]
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if az <= 0.0 or bz <= 0.0 or cz <= 0.0 or abs(area) < 1e-9:
             continue
@@ -269,28 +268,29 @@ def _coverage(screen, faces, owner, stamp, covered):
                 covered[owner[t]] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _sample(table, texels, tile, level, u, v):
     """Bilinear linear-light RGB (gamma 2) and the nearest material."""
-    offset, h, w = table[tile, level]
+    offset, h, w = table[tile, level, 0], table[tile, level, 1], table[tile, level, 2]
     x = min(max(u * w - 0.5, 0.0), w - 1.001)
     y = min(max(v * h - 0.5, 0.0), h - 1.001)
     j, i = int(x), int(y)
     fx, fy = x - j, y - i
     j1, i1 = min(j + 1, w - 1), min(i + 1, h - 1)
-    a, b = texels[offset + i * w + j], texels[offset + i * w + j1]
-    c, d = texels[offset + i1 * w + j], texels[offset + i1 * w + j1]
-    wa, wb, wc, wd = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    red = (wa * a[0] + wb * b[0] + wc * c[0] + wd * d[0]) / 255.0
-    green = (wa * a[1] + wb * b[1] + wc * c[1] + wd * d[1]) / 255.0
-    blue = (wa * a[2] + wb * b[2] + wc * c[2] + wd * d[2]) / 255.0
+    a, b = offset + i * w + j, offset + i * w + j1
+    c, d = offset + i1 * w + j, offset + i1 * w + j1
+    wa, wb = (1 - fx) * (1 - fy) / 255.0, fx * (1 - fy) / 255.0
+    wc, wd = (1 - fx) * fy / 255.0, fx * fy / 255.0
+    red = wa * texels[a, 0] + wb * texels[b, 0] + wc * texels[c, 0] + wd * texels[d, 0]
+    green = wa * texels[a, 1] + wb * texels[b, 1] + wc * texels[c, 1] + wd * texels[d, 1]
+    blue = wa * texels[a, 2] + wb * texels[b, 2] + wc * texels[c, 2] + wd * texels[d, 2]
     row, column = (i if fy < 0.5 else i1), (j if fx < 0.5 else j1)
     material = texels[offset + row * w + column, 3]
     return red * red, green * green, blue * blue, material
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _far(panorama, dx, dy, dz):
     """What is seen far away in a direction; rows are spaced by sqrt(|z|), dense at the horizon."""
@@ -302,15 +302,17 @@ def _far(panorama, dx, dy, dz):
     fy, fx = y - i, x - j
     j0, j1 = j % columns, (j + 1) % columns
     wa, wb, wc, wd = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    a, b, c, d = panorama[i, j0], panorama[i, j1], panorama[i + 1, j0], panorama[i + 1, j1]
     return (
-        wa * a[0] + wb * b[0] + wc * c[0] + wd * d[0],
-        wa * a[1] + wb * b[1] + wc * c[1] + wd * d[1],
-        wa * a[2] + wb * b[2] + wc * c[2] + wd * d[2],
-    )
+        wa * panorama[i, j0, 0] + wb * panorama[i, j1, 0]
+        + wc * panorama[i + 1, j0, 0] + wd * panorama[i + 1, j1, 0],
+        wa * panorama[i, j0, 1] + wb * panorama[i, j1, 1]
+        + wc * panorama[i + 1, j0, 1] + wd * panorama[i + 1, j1, 1],
+        wa * panorama[i, j0, 2] + wb * panorama[i, j1, 2]
+        + wc * panorama[i + 1, j0, 2] + wd * panorama[i + 1, j1, 2],
+    )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _sunlit(shadow, axes, corner, x, y, z):
     """Fraction of the sun that arrives at a point, by bilinear comparison with the depth map."""
@@ -327,7 +329,7 @@ def _sunlit(shadow, axes, corner, x, y, z):
     return (1 - fy) * top + fy * low
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _surface(albedo, material, normal, ray, place, lit, sun_light, panorama, out):
     """Outgoing light of a point: diffuse, and by material a coat that mirrors sky and sun."""
@@ -358,13 +360,13 @@ def _surface(albedo, material, normal, ray, place, lit, sun_light, panorama, out
         out[k] = out[k] * (1.0 - mirror) + mirror * seen[k] + glint * sun[k] * base
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _ground(ground, x, y, footprint):
     """Albedo of the ground: the painted lot, coarser with distance, and the grain of asphalt."""
     table, texels, origin, cell, grain = ground
     level = min(max(int(math.log2(max(footprint / cell, 1e-6)) + 0.5), 0), table.shape[1] - 1)
-    _, h, w = table[0, 0]
+    h, w = table[0, 0, 1], table[0, 0, 2]
     u, v = (x - origin[0]) / (cell * w), (origin[1] - y) / (cell * h)
     red, green, blue, _ = _sample(table, texels, 0, level, u, v)
     n = grain.shape[0]
@@ -373,7 +375,7 @@ def _ground(ground, x, y, footprint):
     return red * rough, green * rough, blue * rough
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _shade(face, screen, camera, mesh, atlas, ground, sun_light, shadow, panorama, image):
     focal, position, rotation = camera
@@ -391,26 +393,23 @@ def _shade(face, screen, camera, mesh, atlas, ground, sun_light, shadow, panoram
             dz = (rotation[0, 2] * lx + rotation[1, 2] * ly + rotation[2, 2]) * scale
             t = face[i, j]
             if t >= 0:
-                a, b, c = faces[t]
+                a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
                 x, y = j + 0.5, i + 0.5
-                ax, ay, az = screen[a]
-                bx, by, bz = screen[b]
-                cx, cy, cz = screen[c]
-                wa = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * az
-                wb = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * bz
-                wc = ((ax - x) * (by - y) - (ay - y) * (bx - x)) * cz
+                ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
+                cx, cy = screen[c, 0], screen[c, 1]
+                wa = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * screen[a, 2]
+                wb = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * screen[b, 2]
+                wc = ((ax - x) * (by - y) - (ay - y) * (bx - x)) * screen[c, 2]
                 total = wa + wb + wc
                 wa, wb, wc = wa / total, wb / total, wc / total
                 u = wa * uv[t, 0, 0] + wb * uv[t, 1, 0] + wc * uv[t, 2, 0]
                 v = wa * uv[t, 0, 1] + wb * uv[t, 1, 1] + wc * uv[t, 2, 1]
-                p, q, r = vertices[a], vertices[b], vertices[c]
-                x = wa * p[0] + wb * q[0] + wc * r[0]
-                y = wa * p[1] + wb * q[1] + wc * r[1]
-                z = wa * p[2] + wb * q[2] + wc * r[2]
-                p, q, r = normals[a], normals[b], normals[c]
-                nx = wa * p[0] + wb * q[0] + wc * r[0]
-                ny = wa * p[1] + wb * q[1] + wc * r[1]
-                nz = wa * p[2] + wb * q[2] + wc * r[2]
+                x = wa * vertices[a, 0] + wb * vertices[b, 0] + wc * vertices[c, 0]
+                y = wa * vertices[a, 1] + wb * vertices[b, 1] + wc * vertices[c, 1]
+                z = wa * vertices[a, 2] + wb * vertices[b, 2] + wc * vertices[c, 2]
+                nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
+                ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
+                nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
                 norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
                 n = (nx / norm, ny / norm, nz / norm)
                 red, green, blue, material = _sample(table, texels, tile[t], level[t], u, v)

@@ -13,7 +13,7 @@ from mixer_torch.datasets.parking_lot_rendering import Light, Mesh
 from mixer_torch.datasets.parking_lot_surroundings import panorama, surroundings
 from mixer_torch.datasets.parking_lot_textures import MATTE, Atlas, Canvas, blotches
 
-BAY_WIDTH, BAY_DEPTH, AISLE = 2.5, 5.0, 5.6  # metres
+BAY_WIDTH, BAY_DEPTH, AISLE = 2.5, 5.0, 6.4  # metres
 GROUND_CELL = 0.04
 MARGIN = 9.0  # of painted ground beyond the outer rows, metres
 TWINS = 3
@@ -81,41 +81,50 @@ class Scene:
 
 @dataclass(frozen=True)
 class Layout:
-    """Four rows of bays along x: two back to back between two aisles, and one beyond each aisle.
+    """Two rows of bays back to back along the x axis, a loop of aisles around, bays beyond.
 
     Args:
-        bays: Number of bays in each row.
+        bays: Number of bays in each of the four rows along x.
+        end_bays: Number of bays in each of the two rows along y, beyond the loop's ends.
     """
 
     bays: int
+    end_bays: int = 8
 
     @property
     def length(self) -> float:
-        """Of a row, metres."""
+        """Of a row along x, metres."""
         return self.bays * BAY_WIDTH
 
     @property
     def aisle(self) -> float:
-        """Distance of the aisles' middle lines from the x axis."""
+        """Distance of the long aisles' middle lines from the x axis."""
         return BAY_DEPTH + AISLE / 2
 
     @property
-    def depth(self) -> float:
-        """Distance of the outer rows' far edge from the x axis."""
-        return 2 * BAY_DEPTH + AISLE
+    def half_size(self) -> np.ndarray:
+        """(2,) distances of the outer bays' far edges from the middle, along x and y."""
+        return np.array([self.length / 2 + AISLE + BAY_DEPTH, 2 * BAY_DEPTH + AISLE])
 
-    def places(self) -> list[tuple[float, float, float]]:
-        """x, y and the direction towards the aisle, for each bay."""
-        first = -self.length / 2 + BAY_WIDTH / 2
-        middles = [first + BAY_WIDTH * k for k in range(self.bays)]
-        inner, outer = BAY_DEPTH / 2, BAY_DEPTH * 1.5 + AISLE
-        rows = [(outer, -1), (inner, 1), (-inner, -1), (-outer, 1)]
-        return [(x, y, side * math.pi / 2) for y, side in rows for x in middles]
+    def places(self) -> np.ndarray:
+        """(n, 3) x and y of each bay's middle, and the direction towards its aisle."""
+        along = (np.arange(self.bays) - (self.bays - 1) / 2) * BAY_WIDTH
+        across = (np.arange(self.end_bays) - (self.end_bays - 1) / 2) * BAY_WIDTH
+        inner, outer = BAY_DEPTH / 2, 1.5 * BAY_DEPTH + AISLE
+        end = self.half_size[0] - BAY_DEPTH / 2
+        up, down = math.pi / 2, -math.pi / 2
+        rows = [
+            (x, y, facing)
+            for y, facing in ((outer, down), (inner, up), (-inner, down), (-outer, up))
+            for x in along
+        ]
+        ends = [(x, y, facing) for x, facing in ((-end, 0.0), (end, math.pi)) for y in across]
+        return np.array(rows + ends)
 
 
 def layout_for(num_cars: int) -> Layout:
     """The smallest lot with a few bays to spare."""
-    return Layout(max(3, math.ceil((num_cars + 3) / 4)))
+    return Layout(max(2, math.ceil((num_cars + 3 - 2 * Layout.end_bays) / 4)))
 
 
 def build_scene(num_cars: int, sun_height: float, harshness: float, seed: int) -> Scene:
@@ -134,7 +143,7 @@ def build_scene(num_cars: int, sun_height: float, harshness: float, seed: int) -
     for number, car in enumerate(cars):
         meshes.append(_place(car, number, len(textures)))
         textures += paint_car(car.body, COLOURS[car.colour], generator)
-    around, more = surroundings(layout.length, layout.depth, len(textures), generator)
+    around, more = surroundings(layout.half_size, layout.places(), len(textures), generator)
     mesh = Mesh.join([*meshes, around])
     atlas = Atlas.pack(textures + more)
     ground = paint_ground(layout, cars, generator)
@@ -181,7 +190,7 @@ def paint_ground(
     """Asphalt with repairs, stains and cracks, bay lines, arrows, and grass around."""
     import cv2
 
-    half = np.array([layout.length / 2 + AISLE + MARGIN, layout.depth + MARGIN])
+    half = layout.half_size + MARGIN
     canvas = Canvas(2 * half[0], 2 * half[1], (86, 98, 56), MATTE, 1 / GROUND_CELL)
     kerb = half - MARGIN + 0.6
     canvas.rectangle(*(half - kerb - 0.2), *(2 * kerb + 0.4), (150, 148, 143))
@@ -196,7 +205,7 @@ def paint_ground(
     canvas.rgb[:] = cv2.GaussianBlur(canvas.rgb, (3, 3), 0.6)
     atlas = Atlas.pack([canvas.texture()])
     grain = generator.standard_normal((256, 256)).astype(np.float32)
-    grain = 0.10 * grain + 0.12 * blotches(generator, (256, 256), 6)
+    grain = 0.17 * grain + 0.07 * blotches(generator, (256, 256), 4)
     return Ground(atlas.table, atlas.texels, half * [-1, 1], GROUND_CELL, grain)
 
 
@@ -225,10 +234,12 @@ def _wear(
 def _markings(canvas: Canvas, half: np.ndarray, layout: Layout) -> None:
     """Lines between bays, their heads, and arrows in the aisles."""
     white = (205, 205, 200)
-    for row in (-layout.depth, -BAY_DEPTH, 0.0, layout.depth - BAY_DEPTH):
-        for k in range(layout.bays + 1):
-            x = half[0] - layout.length / 2 + k * BAY_WIDTH
-            canvas.rectangle(x - 0.06, half[1] + row, 0.12, BAY_DEPTH, white)
+    for x, y, facing in layout.places():
+        ahead = np.array([math.cos(facing), math.sin(facing)])
+        left = np.array([-ahead[1], ahead[0]])
+        for side in (-1, 1):
+            edge = half + [x, y] + side * left * BAY_WIDTH / 2
+            canvas.line([edge - ahead * BAY_DEPTH / 2, edge + ahead * BAY_DEPTH / 2], white, 0.12)
     canvas.rectangle(half[0] - layout.length / 2, half[1] - 0.06, layout.length, 0.12, white)
     for side in (-1, 1):
         for x in (-layout.length / 4, layout.length / 4):
@@ -257,11 +268,9 @@ def _light(
     """A warm low sun from a random side and a blue sky."""
     azimuth = generator.uniform(0, 2 * np.pi)
     level = math.cos(height)
-    direction = np.array(
-        [level * math.cos(azimuth), level * math.sin(azimuth), math.sin(height)]
-    )
-    sun = harshness * np.array([3.4, 3.0, 2.45])
-    sky = np.array([0.42, 0.53, 0.74])
+    direction = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(height)])
+    sun = harshness * np.array([4.6, 4.1, 3.4])
+    sky = np.array([0.30, 0.38, 0.54])
     return Light.cast(
         mesh,
         atlas,

@@ -16,17 +16,17 @@ SIGNS = ("SUPERMARKT", "BAKERY", "PHARMACY", "HOTEL", "GARAGE 24H", "LIBRARY")
 
 
 def surroundings(
-    length: float, depth: float, first_tile: int, generator: np.random.Generator
+    half_size: np.ndarray, bays: np.ndarray, first_tile: int, generator: np.random.Generator
 ) -> tuple[Mesh, list[np.ndarray]]:
-    """Triangles and textures of the scenery around rows of a length, out to a depth.
+    """Triangles and textures of the scenery around a lot.
 
     Args:
-        length: Of the rows of bays, metres.
-        depth: Distance of the outer rows' far edge from the middle, metres.
+        half_size: (2,) distances of the outer bays' far edges from the middle.
+        bays: (n, 3) x, y and the direction to the aisle, of each bay.
         first_tile: Number of the first of the textures in the atlas.
         generator: Draws.
     """
-    x, y = length / 2 + 9.0, depth + 3.0
+    x, y = half_size + [4.0, 3.0]
     meshes: list[Mesh] = []
     textures: list[np.ndarray] = []
 
@@ -43,22 +43,20 @@ def surroundings(
                                    for s, k in ((1, 2), (-1, 4))])  # fmt: skip
     for _ in range(3):
         spots = [_beyond(x, y, generator) for _ in range(6)]
-        add(_billboard, _tree(generator), [(spot, *generator.uniform([4, 5], [6, 9])) for spot in spots])
+        add(
+            _billboard,
+            _tree(generator),
+            [(spot, *generator.uniform([4, 5], [6, 9])) for spot in spots],
+        )
     post = Canvas(0.3, 6.0, (120, 124, 126), MATTE, 40)
     post.rectangle(0, 0, 0.3, 0.5, (205, 180, 40))
-    posts = [((px, s * 0.0), 0.16, 6.5) for px in (-length / 2 - 0.5, length / 2 + 0.5) for s in (1,)]
-    posts += [((px, s * (depth + 0.5)), 0.16, 6.5) for px in (-length / 4, length / 4) for s in (-1, 1)]
+    corners = [(-0.5 * x, -y + 1), (0.5 * x, -y + 1), (-0.5 * x, y - 1), (0.5 * x, y - 1)]
+    posts = [(spot, 0.14, 6.5) for spot in [*corners, (-x + 2, 0.0), (x - 2, 0.0)]]
     add(_post, post.texture(), posts)
-    stop = Canvas(1.7, 0.12, (176, 174, 168), MATTE, 60)
-    stop.rectangle(0.2, 0, 0.3, 0.12, (200, 170, 40))
-    stop.rectangle(1.2, 0, 0.3, 0.12, (200, 170, 40))
-    bays = round(length / 2.5)
-    stops = [
-        ((-length / 2 + 1.25 + 2.5 * k, row), 1.7, 0.12)
-        for k in range(bays)
-        for row in (-depth + 0.35, -0.35, 0.35, depth - 0.35)
-    ]
-    add(_kerbstone, stop.texture(), stops)
+    stop = Canvas(1.7, 0.12, (150, 148, 142), MATTE, 60)
+    stop.rectangle(0.2, 0, 0.3, 0.12, (178, 150, 40))
+    stop.rectangle(1.2, 0, 0.3, 0.12, (178, 150, 40))
+    add(_wheel_stop, stop.texture(), [(bay,) for bay in bays])
     return Mesh.join(meshes), textures
 
 
@@ -119,9 +117,11 @@ def _post(foot: Any, width: float, height: float, tile: int) -> Mesh:
     return _prism(foot, width, width, height, tile)
 
 
-def _kerbstone(foot: Any, width: float, height: float, tile: int) -> Mesh:
-    """A wheel stop at the head of a bay."""
-    return _prism(foot, width, 0.15, height, tile)
+def _wheel_stop(bay: np.ndarray, tile: int) -> Mesh:
+    """A concrete block at the head of a bay (x, y, direction to the aisle)."""
+    ahead = np.array([math.cos(bay[2]), math.sin(bay[2])])
+    size = np.abs(1.7 * ahead[::-1]) + np.abs(0.15 * ahead)
+    return _prism(bay[:2] - 2.15 * ahead, size[0], size[1], 0.11, tile)
 
 
 def _prism(foot: Any, width: float, thickness: float, height: float, tile: int) -> Mesh:
@@ -169,7 +169,9 @@ def _hedge(width: float, height: float, generator: np.random.Generator) -> np.nd
         x, y = generator.uniform(0, width), generator.uniform(0, height)
         shade = generator.uniform(0.5, 1.6) * np.array([52, 78, 34])
         canvas.ellipse(x, y, 0.06, 0.05, shade)
-    canvas.material[:6] = np.where(blotches(generator, (6, canvas.material.shape[1]), 5) > 0, CUT, MATTE)
+    canvas.material[:6] = np.where(
+        blotches(generator, (6, canvas.material.shape[1]), 5) > 0, CUT, MATTE
+    )
     return canvas.texture()
 
 

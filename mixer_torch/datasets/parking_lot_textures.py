@@ -129,9 +129,7 @@ class Canvas:
         return np.dstack([self.rgb, self.material])
 
 
-def blotches(
-    generator: np.random.Generator, shape: tuple[int, int], cell: float
-) -> np.ndarray:
+def blotches(generator: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
     """Smooth noise (rows, columns) of about unit variance, that changes over a cell of pixels."""
     import cv2
 
