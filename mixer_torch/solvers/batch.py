@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.solvers.base import Problem
+from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.decomposition import Parts
+from mixer_torch.solvers.graph import Graph, shares_token
 
 ENTRIES = 2**22
 
@@ -44,6 +48,20 @@ class Batch:
         mask = (torch.arange(m) < size[:, None]).to(like.device)
         return cls(cost, _distinctness(problems, mask, like), mask)
 
+    @classmethod
+    def of_parts(cls, graph: Graph, parts: Parts, chosen: Sequence[int], like: Tensor) -> Batch:
+        """The batch of some parts of a graph, of the dtype and on the device of a tensor."""
+        size = np.diff(parts.start)[list(chosen)]
+        m, dtype = int(size.max()), str(like.dtype).removeprefix("torch.")
+        cost, apart = np.zeros((2, len(size), m, m), dtype)
+        _fill(
+            graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token,
+            parts.order, parts.start, np.array(chosen), cost, apart,
+        )  # fmt: skip
+        mask = torch.arange(m) < torch.from_numpy(size)[:, None]
+        arrays = torch.from_numpy(cost), torch.from_numpy(apart), mask
+        return cls(*(array.to(like.device) for array in arrays))
+
     def __len__(self) -> int:
         """B, the number of problems."""
         return len(self.mask)
@@ -66,29 +84,23 @@ class Descent:
     history: Float[Tensor, "T B"]
 
 
-def buckets(problems: Sequence[Problem], entries: int = ENTRIES) -> Iterator[list[int]]:
+def buckets(sizes: Sequence[int], entries: int = ENTRIES) -> Iterator[list[int]]:
     """Indices of problems that go well into one batch: alike in size, and not too many.
 
     Sizes within a bucket differ by at most a quarter (and 8), so that little of the work is spent
     on padding; a bucket's matrices have at most so many entries, unless it holds one problem.
     """
-    order = sorted(range(len(problems)), key=lambda i: (str(_kind(problems[i])), -len(problems[i])))
     bucket: list[int] = []
-    for i in order:
+    for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
         if bucket:
-            largest = len(problems[bucket[0]])
+            largest = sizes[bucket[0]]
             full = (len(bucket) + 1) * largest**2 > entries
-            small = len(problems[i]) < 0.75 * largest - 8
-            if full or small or _kind(problems[i]) != _kind(problems[bucket[0]]):
+            if full or sizes[i] < 0.75 * largest - 8:
                 yield bucket
                 bucket = []
         bucket.append(i)
     if bucket:
         yield bucket
-
-
-def _kind(problem: Problem) -> tuple[torch.dtype, torch.device]:
-    return problem.cost.dtype, problem.cost.device
 
 
 def _distinctness(problems: Sequence[Problem], mask: Tensor, like: Tensor) -> Tensor:
@@ -103,3 +115,24 @@ def _distinctness(problems: Sequence[Problem], mask: Tensor, like: Tensor) -> Te
     for matrix, problem in zip(apart, problems, strict=True):
         matrix[: len(problem), : len(problem)] = problem.apart()
     return apart
+
+
+@compiled
+def _fill(  # type: ignore[no-untyped-def]
+    start, neighbour, cost, token_start, token, order, part_start, chosen, dense, apart
+):
+    index = np.full(len(start) - 1, -1, np.int64)
+    for b in range(len(chosen)):
+        nodes = order[part_start[chosen[b]] : part_start[chosen[b] + 1]]
+        for i in range(len(nodes)):
+            index[nodes[i]] = i
+        for i in range(len(nodes)):
+            a = nodes[i]
+            for e in range(start[a], start[a + 1]):
+                if index[neighbour[e]] >= 0:
+                    dense[b, i, index[neighbour[e]]] = cost[e]
+            for j in range(i):
+                if shares_token(token_start, token, a, nodes[j]):
+                    apart[b, i, j] = apart[b, j, i] = 1
+        for a in nodes:
+            index[a] = -1

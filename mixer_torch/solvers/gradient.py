@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,8 +9,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.solvers.annealing import anneal
-from mixer_torch.solvers.base import Problem
-from mixer_torch.solvers.batch import Batch, Descent, buckets
+from mixer_torch.solvers.batch import Batch, Descent
 from mixer_torch.solvers.descent import descend
 from mixer_torch.solvers.rounding import binary_labels, nearest_labels
 
@@ -54,21 +51,23 @@ class GradientStage:
     seed: int
     precision: str
 
-    def run(
-        self, problems: Sequence[Problem], columns: Sequence[int] | None = None
-    ) -> Iterator[tuple[int, Relaxed]]:
-        """Solve problems in padded batches; yields index and result, batch by batch.
-
-        Args:
-            problems: With at least one observation each.
-            columns: How many clusters to allow for in each, if fewer than its observations.
-        """
-        for bucket in buckets(problems):
-            chosen = [problems[i] for i in bucket]
-            m = max(len(problem) for problem in chosen)
-            k = m if columns is None else min(m, max(columns[i] for i in bucket))
-            batch = Batch.of(chosen)
-            yield from zip(bucket, _read(chosen, batch, self.descend(batch, k)), strict=True)
+    def run(self, batch: Batch, columns: int) -> list[Relaxed]:
+        """Solve the problems of a batch, with at most so many clusters in each."""
+        result = self.descend(batch, columns)
+        labels, binary = binary_labels(result.assignment, batch)
+        history = (result.history.double().T / 2).tolist()
+        size = batch.mask.sum(1).tolist()
+        numbers = zip(
+            binary.tolist(), result.iterations.tolist(), result.penalty.tolist(), strict=True
+        )
+        answers = []
+        for i, (whole, iterations, penalty) in enumerate(numbers):
+            label = labels[i, : size[i]]
+            if not whole:
+                apart = batch.distinctness[i, : size[i], : size[i]] > 0
+                label = nearest_labels(result.assignment[i, : size[i]], apart)
+            answers.append(Relaxed(label, whole, iterations, penalty, history[i][:iterations]))
+        return answers
 
     def descend(self, batch: Batch, columns: int) -> Descent:
         """The relaxed problems of a batch, with so many columns."""
@@ -97,18 +96,3 @@ def spectral_start(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m 
     shape = cost.shape[1], columns
     noise = torch.rand(shape, generator=generator, dtype=cost.dtype, device=cost.device)
     return torch.linalg.eigh(cost).eigenvectors[..., :columns] + 1e-3 * noise
-
-
-def _read(problems: Sequence[Problem], batch: Batch, result: Descent) -> Iterator[Relaxed]:
-    labels, binary = binary_labels(result.assignment, batch)
-    history = (result.history.double().T / 2).tolist()
-    numbers = zip(binary.tolist(), result.iterations.tolist(), result.penalty.tolist(), strict=True)
-    for i, (problem, (is_binary, iterations, penalty)) in enumerate(
-        zip(problems, numbers, strict=True)
-    ):
-        m = len(problem)
-        label = labels[i, :m]
-        if not is_binary:
-            label = nearest_labels(result.assignment[i, :m], problem.apart())
-        values = [value for value in history[i][:iterations] if math.isfinite(value)]
-        yield Relaxed(label, is_binary, iterations, penalty, values)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import ClassVar, Literal, get_args
 
+import torch
+
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.batch import Batch, buckets
 from mixer_torch.solvers.gradient import GradientStage, Relaxed
+from mixer_torch.solvers.joint import Clock, solve_side_by_side
 
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
@@ -75,11 +79,44 @@ class Mixer(Solver):
         return self.run_batch([problem])[0]
 
     def run_batch(self, problems: Sequence[Problem]) -> list[Solution]:
-        answers = dict(self.gradient.run(problems))
-        return [_solution(answers[i]) for i in range(len(problems))]
+        groups: dict[tuple[torch.dtype, torch.device], list[int]] = {}
+        for i, problem in enumerate(problems):
+            groups.setdefault((problem.cost.dtype, problem.cost.device), []).append(i)
+        answers: dict[int, Solution] = {}
+        for group in groups.values():
+            chosen = [problems[i] for i in group]
+            if self.refine:
+                solutions = solve_side_by_side(
+                    chosen, self.gradient, self.restarts, self.seed, self.time_limit, self._tell
+                )
+            else:
+                solutions = self._relaxed(chosen)
+            answers.update(zip(group, solutions, strict=True))
+        return [answers[i] for i in range(len(problems))]
+
+    def _relaxed(self, problems: list[Problem]) -> list[Solution]:
+        """The gradient stage alone, on each problem as a whole."""
+        answers: dict[int, Relaxed] = {}
+        clock = Clock(self.time_limit)
+        for bucket in buckets([len(problem) for problem in problems]):
+            if clock.is_over():
+                break
+            batch = Batch.of([problems[i] for i in bucket])
+            relaxed = self.gradient.run(batch, batch.mask.shape[1])
+            answers.update(zip(bucket, relaxed, strict=True))
+            self._tell(len(answers) / len(problems))
+        return [_solution(problems[i], answers.get(i)) for i in range(len(problems))]
+
+    def _tell(self, fraction: float) -> None:
+        if self.progress is not None:
+            self.progress(fraction)
 
 
-def _solution(relaxed: Relaxed) -> Solution:
+def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
+    """The answer of the gradient stage; every observation alone where time ran out before."""
+    if relaxed is None:
+        labels = torch.arange(len(problem), device=problem.view.device)
+        return Solution(Status.TIME_LIMIT, labels, stats={"binary_without_rounding": False})
     stats = {
         "iterations": relaxed.iterations,
         "history": relaxed.history,

@@ -1,0 +1,220 @@
+"""Several problems side by side, solved part by part from two starts."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mixer_torch.association import Status
+from mixer_torch.solvers.base import Problem, Solution
+from mixer_torch.solvers.batch import Batch, buckets
+from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.gradient import GradientStage, Relaxed
+from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.refinement import refine
+
+LARGEST = 2000  # nodes of a part, up to which dense matrices pay
+CLUSTERS = 1.5  # columns of U for each cluster that a first descent finds
+
+
+class Clock:
+    """Time that is left of a limit."""
+
+    def __init__(self, limit: float | None) -> None:
+        self.end = math.inf if limit is None else time.perf_counter() + limit
+
+    def is_over(self) -> bool:
+        """Whether there is none left."""
+        return time.perf_counter() >= self.end
+
+    def left(self) -> float | None:
+        """Seconds left, at least 0; None if there is no limit."""
+        return None if self.end == math.inf else max(self.end - time.perf_counter(), 0.0)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Problems as one graph without edges between them, and its parts.
+
+    Args:
+        graph: Of all nodes, problem after problem.
+        parts: Its connected components of negative pairs: each lies in one problem.
+        start: (B + 1,) nodes of problem b are ``start[b]`` to ``start[b + 1] - 1``.
+        like: A tensor of the dtype and on the device of the problems.
+    """
+
+    graph: Graph
+    parts: Parts
+    start: np.ndarray
+    like: Tensor
+
+    @classmethod
+    def of(cls, problems: Sequence[Problem]) -> Joint:
+        """Side by side, with tokens that differ from one problem to the other."""
+        start = np.cumsum([0] + [len(problem) for problem in problems])
+        pairs, tokens, first = [], [], 0
+        for problem, offset in zip(problems, start.tolist(), strict=False):
+            pairs.append(problem.pairs + offset)
+            node, token = problem.incidence
+            tokens.append(torch.stack([node + offset, token + first]))
+            first += int(token.max()) + 1 if len(token) else 0
+        cost = torch.cat([problem.cost.detach() for problem in problems])
+        graph = Graph.from_arrays(
+            int(start[-1]),
+            torch.cat(pairs, 1).cpu().numpy(),
+            cost.cpu().numpy(),
+            torch.cat(tokens, 1).cpu().numpy(),
+        )
+        return cls(graph, decompose(graph), start, cost)
+
+    @property
+    def owner(self) -> np.ndarray:
+        """(n,) the problem of each node."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    def refine(
+        self,
+        label: np.ndarray | None,
+        restarts: int,
+        seed: int,
+        time_limit: float | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> tuple[np.ndarray, bool]:
+        """Discrete refinement, the same for a problem as if it were alone; whether time ran out."""
+        key = np.arange(len(self.graph)) - self.start[self.owner]
+        label, stats = refine(
+            self.graph,
+            label,
+            restarts=restarts,
+            seed=seed,
+            key=key,
+            time_limit=time_limit,
+            progress=progress,
+        )
+        return label, bool(stats["timed_out"])
+
+    def objective(self, label: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Sum of the cost over the pairs inside clusters, by group of nodes (part or problem)."""
+        graph = self.graph
+        first = np.repeat(np.arange(len(graph)), np.diff(graph.start))
+        inside = label[first] == label[graph.neighbour]
+        groups = int(by.max()) + 1
+        return np.bincount(by[first[inside]], graph.cost[inside], minlength=groups) / 2
+
+    def relax(
+        self,
+        stage: GradientStage,
+        label: np.ndarray,
+        clock: Clock,
+        progress: Callable[[float], None],
+    ) -> dict[int, Relaxed]:
+        """What the gradient stage makes of each part that is neither trivial nor too large."""
+        size = np.diff(self.parts.start)
+        which = np.flatnonzero((size > 2) & (size <= LARGEST))
+        clusters = np.bincount(
+            self.parts.part[np.unique(cut_along(label, self.parts), return_index=True)[1]],
+            minlength=len(size),
+        )
+        columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
+        found: dict[int, Relaxed] = {}
+        for bucket in buckets(size[which].tolist()):
+            if clock.is_over():
+                break
+            chosen = which[bucket]
+            batch = Batch.of_parts(self.graph, self.parts, chosen.tolist(), self.like)
+            relaxed = stage.run(batch, int(columns[chosen].max()))
+            found.update(zip(chosen.tolist(), relaxed, strict=True))
+            progress(len(found) / len(which))
+        return found
+
+    def labels(self, found: dict[int, Relaxed], otherwise: np.ndarray) -> np.ndarray:
+        """The labels of the parts that were found, and other ones for the other parts."""
+        label = cut_along(otherwise, self.parts) + len(self.graph)
+        for part, relaxed in found.items():
+            nodes = self.parts.order[self.parts.start[part] : self.parts.start[part + 1]]
+            own = np.unique(relaxed.labels.cpu().numpy(), return_inverse=True)[1]
+            label[nodes] = nodes[own]
+        return label
+
+    def better(self, label: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """In each part the labels with the lower objective; both respect parts."""
+        part = self.parts.part
+        win = self.objective(other, part) < self.objective(label, part)
+        return np.where(win[part], cut_along(other, self.parts) + len(self.graph), label)
+
+
+def solve_side_by_side(
+    problems: Sequence[Problem],
+    stage: GradientStage,
+    restarts: int,
+    seed: int,
+    time_limit: float | None,
+    progress: Callable[[float], None],
+) -> list[Solution]:
+    """Problems of one dtype on one device: two starts for each part, restarts from the better.
+
+    One start is a discrete descent from single observations, the other is the gradient stage's
+    answer, descended as well. The result of each part is never worse than either.
+    """
+    clock = Clock(time_limit)
+    joint = Joint.of(problems)
+    alone, _ = joint.refine(None, 0, seed, clock.left())
+    found = joint.relax(stage, alone, clock, lambda part: progress(0.3 * part))
+    relaxed = joint.labels(found, alone)
+    descended, _ = joint.refine(relaxed, 0, seed, clock.left())
+    label = joint.better(alone, descended)
+    label, timed_out = joint.refine(
+        label, restarts, seed, clock.left(), lambda part: progress(0.3 + 0.7 * part)
+    )
+    owner = joint.owner
+    stages = {"descent": alone, "gradient": relaxed, "refined": label}
+    value = {name: joint.objective(labels, owner) for name, labels in stages.items()}
+    histories = _histories(joint, found)
+    solutions = []
+    for b, problem in enumerate(problems):
+        own = label[joint.start[b] : joint.start[b + 1]]
+        stats = histories[b] | {f"objective_{name}": float(value[name][b]) for name in stages}
+        stats["history"] = [*stats["history"], stats["objective_refined"]]
+        status = Status.CONVERGED if stats["binary_without_rounding"] else Status.ROUNDED
+        solutions.append(
+            Solution(
+                Status.TIME_LIMIT if timed_out else status,
+                torch.from_numpy(own).to(problem.view.device),
+                stats=stats,
+            )
+        )
+    return solutions
+
+
+def _histories(joint: Joint, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
+    """Statistics of the gradient stage by problem: of its parts, objectives added up."""
+    size = np.diff(joint.parts.start)
+    home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
+    stats: list[dict[str, Any]] = [
+        {"iterations": 0, "binary_without_rounding": True, "penalty": 0.0, "parts": 0}
+        for _ in range(len(joint.start) - 1)
+    ]
+    histories: list[list[np.ndarray]] = [[] for _ in stats]
+    for part in range(len(size)):
+        own = stats[home[part]]
+        own["parts"] += 1
+        if part in found:
+            relaxed = found[part]
+            own["iterations"] = max(own["iterations"], relaxed.iterations)
+            own["binary_without_rounding"] &= relaxed.binary
+            own["penalty"] = max(own["penalty"], relaxed.penalty)
+            histories[home[part]].append(np.array(relaxed.history))
+    for own, rows in zip(stats, histories, strict=True):
+        longest = max((len(row) for row in rows), default=0)
+        total = np.zeros(longest)
+        for row in rows:
+            total += np.pad(row, (0, longest - len(row)), mode="edge")
+        own["history"] = total.tolist()
+    return stats
