@@ -1,0 +1,79 @@
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from mixer_torch.plugins import KINDS, members
+from mixer_torch.scoring import Scorer
+
+BY_NAME = {kind.name: kind for kind in KINDS}
+
+
+def paths(name, announced=()):
+    return [member.class_path for member in members(BY_NAME[name], announced)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("scorers", {"scorers.IoU", "scorers.SIFT", "mixer_torch.FunctionScorer"}),
+        ("solvers", {"mixer_torch.Mixer"}),
+        ("datasets", {"mixer_torch.datasets.MOTChallenge", "mixer_torch.datasets.Table"}),
+        ("calibrators", {"mixer_torch.Calibrator"}),
+        ("fusions", {"mixer_torch.LinearFusion", "mixer_torch.LogOddsFusion"}),
+        ("pairs", {"mixer_torch.Every", "mixer_torch.Within", "mixer_torch.Nearest"}),
+    ],
+)
+def test_the_projects_own_are_found_by_themselves(kind, expected):
+    found = members(BY_NAME[kind], ())
+    assert expected <= {member.class_path for member in found}
+    assert all(member.cls is not None and member.summary for member in found), found
+    assert not {f"mixer_torch.{base}" for base in ("Scorer", "Solver", "Fusion")} & set(paths(kind))
+
+
+def test_a_class_is_listed_once_by_its_shortest_path():
+    found = [member.cls for member in members(BY_NAME["scorers"], ())]
+    assert len(set(found)) == len(found)
+    assert "scorers.iou.IoU" not in paths("scorers")
+
+
+@pytest.fixture
+def announced(tmp_path, monkeypatch):
+    """A module beside the project with a scorer, and entry points into it."""
+    (tmp_path / "announced_scorers.py").write_text(
+        "from mixer_torch import Scorer\n\n"
+        "class Depth(Scorer):\n"
+        '    """Alike in depth.\n\n    More.\n    """\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def point(value):
+        return EntryPoint(name="any", value=value, group="mixer_torch.scorers")
+
+    return point
+
+
+def test_what_other_packages_announce_is_listed(announced):
+    found = {
+        m.class_path: m for m in members(BY_NAME["scorers"], [announced("announced_scorers:Depth")])
+    }
+    depth = found["announced_scorers.Depth"]
+    assert depth.summary == "Alike in depth."
+    assert depth.cls is not None
+    assert issubclass(depth.cls, Scorer)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("no_such_module:Depth", "No module named 'no_such_module'"),
+        ("announced_scorers:Height", "Height"),
+        ("pathlib:Path", "expected a concrete subclass of Scorer"),
+    ],
+)
+def test_what_does_not_load_is_listed_with_its_error(announced, value, reason):
+    found = {m.class_path: m for m in members(BY_NAME["scorers"], [announced(value)])}
+    broken = found[value.replace(":", ".")]
+    assert broken.cls is None
+    assert "does not load" in broken.summary
+    assert reason in broken.summary
+    assert "scorers.IoU" in found
