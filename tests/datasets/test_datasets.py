@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from jsonargparse import ArgumentParser
 
 import mixer_torch.datasets
 from mixer_torch.datasets.base import Dataset, find
@@ -12,6 +13,29 @@ from mixer_torch.datasets.base import Dataset, find
 @pytest.mark.parametrize("name", mixer_torch.datasets.__all__)
 def test_exported_classes_are_datasets(name):
     assert issubclass(getattr(mixer_torch.datasets, name), Dataset)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("Landmarks", {"path": "hotel", "step": 5, "box_size": 32}),
+        (
+            "MOTChallenge",
+            {"path": "pets", "start": 160, "stop": 780, "step": 20, "classes": [1, 7]},
+        ),
+        ("ParkingLot", {"seed": 3}),
+        ("Persons", {"path": "persons", "cameras": [1], "limit": 10}),
+        ("Table", {"path": "table.csv", "frame_rate": 10, "images": "{frame:06d}.jpg"}),
+    ],
+)
+def test_configuration(name, arguments):
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_subclass_arguments(Dataset, "dataset")
+    block = {"class_path": f"mixer_torch.datasets.{name}", "init_args": arguments}
+    dataset = parser.instantiate(parser.parse_object({"dataset": block})).dataset
+    assert type(dataset).__name__ == name
+    with pytest.raises(Exception, match="stepp"):
+        parser.parse_object({"dataset": block | {"init_args": arguments | {"stepp": 1}}})
 
 
 def test_importing_datasets_imports_no_opencv():
