@@ -63,7 +63,7 @@ class Color(Scorer):
         mode: Literal["semantic", "histogram"] = "semantic",
         parts: int = 4,
         focus: float = 0.12,
-        midpoint: float = 0.3,
+        midpoint: float = 0.35,
         slope: float = 8.0,
         min_pixels: int = 16,
         calibrator: Calibrator | None = None,

@@ -14,17 +14,18 @@ class Proximity(Scorer):
     Odometry drifts and objects move, so distance says less the longer ago the other sighting was.
     With distance d and time dt between two sightings the score is
 
-        0.5 + (exp(-d^2 / 2 sigma^2) - 0.5) * exp(-dt / memory),   sigma = scale + speed * dt,
+        0.5 + (exp(-e^2 / 2 scale^2) - 0.5) * exp(-dt / memory),    e = max(0, d - speed * dt),
 
-    which is 0.5 at the distance 1.18 sigma, and everywhere once dt is several times the memory.
+    where e is the distance beyond what an object can cover in the time in between. At speed 0 it
+    is 0.5 at the distance 1.18 scale; and it is 0.5 everywhere once dt is several times the memory.
 
     Args:
-        scale: Standard deviation of the distance between two sightings of one object at one time,
-            in the unit of the feature (metres for ``position``).
+        scale: Standard deviation of a measured distance, in the unit of the feature (metres for
+            ``position``).
         memory: Time after which position has lost all but 1/e of its say, seconds; ``inf`` where
             nothing drifts or moves.
-        speed: How fast ``scale`` grows with the time in between, metres a second: 0 for objects
-            that stay where they are, about 1 for people who walk.
+        speed: How fast an object can move, metres a second: 0 for objects that stay where they
+            are, 1.5 for people who walk.
         feature: Where it was: ``position``, or any other of a fixed number of coordinates.
         calibrator: Maps that score to another.
 
@@ -56,6 +57,12 @@ class Proximity(Scorer):
         position = position if position.is_floating_point() else position.float()
         squared = (position[a] - position[b]).flatten(1).square().sum(1)
         elapsed = (time[a] - time[b]).abs().to(squared)
-        sigma = self.scale + self.speed * elapsed
-        near = torch.exp(-squared / (2 * sigma.square()))
+        if self.speed > 0:
+            # The root has no gradient at 0, and inside the reach there is none to have.
+            reach = (self.speed * elapsed).square()
+            beyond = squared > reach
+            distance = squared.where(beyond, torch.ones_like(squared)).sqrt()
+            beyond_reach = (distance - self.speed * elapsed).square()
+            squared = beyond_reach.where(beyond | squared.isnan(), torch.zeros_like(squared))
+        near = torch.exp(-squared / (2 * self.scale**2))
         return 0.5 + (near - 0.5) * torch.exp(-elapsed / self.memory)

@@ -65,10 +65,10 @@ class SIFT(Scorer):
         enlarge: int = 200,
         root: bool = True,
         ratio: float = 0.8,
-        weak: float = 2,
-        strong: float = 12,
+        weak: float = 6,
+        strong: float = 14,
         none: float = 0.5,
-        size: float = 16.0,
+        size: float = 24.0,
         stranger: float = 1.0,
         calibrator: Calibrator | None = None,
     ) -> None:
