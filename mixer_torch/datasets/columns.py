@@ -117,9 +117,11 @@ class Columns:
         return values
 
     def words(self, name: str) -> list[Any]:
-        """The cells of a column as Python values, none missing."""
+        """The cells of a column as Python values, none missing; 3.0 among whole numbers is 3."""
         column = self.column(name)
         self.refuse(name, column.is_null().to_numpy(zero_copy_only=False), "a value")
+        if pa.types.is_floating(column.type) and not (self.numbers(name) % 1).any():
+            column = column.cast(pa.int64())
         return column.to_pylist()
 
     def refuse(self, name: str, wrong: Any, expected: str) -> None:

@@ -194,4 +194,7 @@ def _fill(columns: Columns, pattern: str, keep: np.ndarray) -> list[str]:
     """A pattern with columns in braces, filled in for each of some rows."""
     names = sorted({name for _, name, _, _ in string.Formatter().parse(pattern) if name})
     cells = {name: columns.words(name) for name in names}
-    return [pattern.format(**{name: cells[name][i] for name in names}) for i in keep]
+    try:
+        return [pattern.format(**{name: cells[name][i] for name in names}) for i in keep]
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"images: {pattern!r} does not fit the columns: {error}") from error

@@ -209,6 +209,10 @@ def test_images_by_pattern(table, tmp_path):
     assert [int(seen.images.crop(i)[0, 0, 0]) for i in range(2)] == [100, 100]
     whole = table("view,file\n0,001.png\n", images="{file}").load()
     assert whole.images.crop(0).shape == (20, 30, 3)
+    assert len(table("frame\n1.0\n2\n", images="{frame:03d}.png").load().images) == 2
+    for pattern in ("{file:03d}.png", "{}.png"):
+        with pytest.raises(ValueError, match=r"images: .* does not fit the columns"):
+            table(text, images=pattern).load()
     with pytest.raises(FileNotFoundError, match=r"frame .*003\.png does not exist"):
         table("frame\n3\n", images="{frame:03d}.png").load()
     with pytest.raises(ValueError, match="column 'name' is missing"):
