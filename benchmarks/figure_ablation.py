@@ -1,0 +1,82 @@
+"""The paper's bar chart: F1 of every algorithm as modalities are added to the strongest one.
+
+The strongest modality is the one on which MIXER is best by itself; the others follow in the order
+of their strength. Everything but rows.csv is made from it.
+
+    mixer bench figure_ablation --out out/benchmarks/figure_ablation
+"""
+
+import argparse
+from pathlib import Path
+
+from mixer_torch.benchmarks import comparison, report
+
+
+def order(rows):
+    """The modalities by the mean F1 of MIXER on each alone, the strongest first."""
+    alone = [row for row in rows if row["algorithm"] == "MIXER" and "+" not in row["modalities"]]
+    strength = {
+        name: comparison.mean(group, "f1")
+        for (name,), group in comparison.grouped(alone, "modalities").items()
+    }
+    return sorted(strength, key=strength.__getitem__, reverse=True)
+
+
+def run(seeds, num_frames):
+    scenes = list(comparison.parking_lots(seeds, num_frames))
+    rows = []
+    for dataset, seed, affinity, identity in scenes:
+        for name in affinity.modalities:
+            solver = comparison.algorithms(["MIXER"])["MIXER"]
+            row, _ = comparison.measure("MIXER", solver, affinity, identity, dataset, seed, (name,))
+            rows.append(row)
+    names = order(rows)
+    for dataset, seed, affinity, identity in scenes:
+        for algorithm, solver in comparison.algorithms().items():
+            for k in range(1, len(names) + 1):
+                if (algorithm, k) == ("MIXER", 1):
+                    continue
+                row, _ = comparison.measure(
+                    algorithm, solver, affinity, identity, dataset, seed, names[:k]
+                )
+                rows.append(row)
+    return rows
+
+
+def make(out):
+    """Figure and table from the rows in a folder; the Markdown comes back."""
+    rows = comparison.read(out / "rows.csv")
+    names = order(rows)
+    sets = ["+".join(names[:k]) for k in range(1, len(names) + 1)]
+    found = comparison.grouped(rows, "algorithm", "modalities")
+    algorithms = [name for name in comparison.SETTINGS if (name, sets[0]) in found]
+    rows = [row for name in algorithms for key in sets for row in found[name, key]]
+    report.ablation_figure(rows, sets, out / "ablation")
+    lines = ["| F1 | " + " | ".join(sets) + " |", "|---" * (len(sets) + 1) + "|"]
+    for name in algorithms:
+        means = [f"{comparison.mean(found[name, key], 'f1'):.3f}" for key in sets]
+        lines.append(f"| {name} | " + " | ".join(means) + " |")
+    text = "\n".join(lines) + "\n"
+    (out / "table.md").write_text(text)
+    return text
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/figure_ablation"))
+    parser.add_argument("--quick", action="store_true", help="one short drive")
+    parser.add_argument("--seeds", type=int, default=5, help="parking lots")
+    parser.add_argument("--from_rows", action="store_true", help="only make table and figure")
+    arguments = parser.parse_args(argv)
+    if not arguments.from_rows:
+        comparison.warm_up()
+        seeds = range(1 if arguments.quick else arguments.seeds)
+        rows = run(seeds, num_frames=40 if arguments.quick else 100)
+        comparison.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
+    return make(arguments.out)
+
+
+if __name__ == "__main__":
+    print(main())

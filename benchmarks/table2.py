@@ -1,0 +1,92 @@
+"""Table II of the paper: algorithms against modalities, on the parking lot and on real video.
+
+Also says how each algorithm goes wrong where modalities are combined, and how long it takes
+against the number of observations m. Everything but rows.csv and failures.csv is made from them.
+
+    mixer bench table2 --out out/benchmarks/table2
+"""
+
+import argparse
+from pathlib import Path
+
+from mixer_torch.benchmarks import comparison, report
+from mixer_torch.benchmarks.comparison import ALL, MODALITIES
+from mixer_torch.datasets.synthetic import synthetic
+
+SIZES = (50, 100, 200, 400, 700, 1000)
+
+
+def run(quick, seeds):
+    """Rows and failures of every algorithm on every scene."""
+    rows, failures = [], []
+    scenes = comparison.parking_lots(seeds, num_frames=40 if quick else 100)
+    for dataset, seed, affinity, identity in (
+        *scenes,
+        *([] if quick else comparison.real_scenes()),
+    ):
+        sets = [(name,) for name in affinity.modalities] + [affinity.modalities]
+        for name, solver in comparison.algorithms().items():
+            for modalities in sets:
+                row, failure = comparison.measure(
+                    name, solver, affinity, identity, dataset, seed, modalities
+                )
+                rows.append(row)
+                failures.append(failure)
+    return rows, failures
+
+
+def run_sizes(sizes):
+    """Rows of every algorithm on synthetic problems of about m observations."""
+    rows = []
+    for size in sizes:
+        affinity, labels = synthetic(objects=size // 10, views=16, visible=0.6, outliers=0, seed=0)
+        name = f"synthetic_{len(affinity)}"
+        for algorithm, solver in comparison.algorithms().items():
+            rows.append(comparison.measure(algorithm, solver, affinity, labels, name, 0)[0])
+    return rows
+
+
+def main(argv=None):
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/table2"))
+    parser.add_argument("--quick", action="store_true", help="one short drive, small sizes")
+    parser.add_argument("--seeds", type=int, default=5, help="parking lots")
+    parser.add_argument("--from_rows", action="store_true", help="only make tables and figures")
+    arguments = parser.parse_args(argv)
+    if not arguments.from_rows:
+        comparison.warm_up()
+        rows, failures = run(arguments.quick, range(1 if arguments.quick else arguments.seeds))
+        rows += run_sizes(SIZES[:3] if arguments.quick else SIZES)
+        comparison.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
+        comparison.write(arguments.out / "failures.csv", comparison.FAILURES, failures)
+    return make(arguments.out)
+
+
+def make(out):
+    """Tables and figures from the rows in a folder; the Markdown comes back."""
+    rows = comparison.read(out / "rows.csv")
+    failures = comparison.read(out / "failures.csv")
+    parts = []
+    for (dataset,), group in comparison.grouped(rows, "dataset").items():
+        if dataset.startswith("synthetic"):
+            continue
+        columns = {name: MODALITIES[name] for name in MODALITIES if report.has(group, name)}
+        combined = "+".join(columns)
+        columns |= {combined: "combined"}
+        paper = report.PAPER if combined == ALL else {}
+        parts.append(report.markdown_table(dataset, group, columns, paper))
+        (out / f"table_{dataset}.tex").write_text(report.latex_table(group, columns, paper))
+        chosen = [f for f in failures if (f["dataset"], f["modalities"]) == (dataset, combined)]
+        parts.append(report.failure_table(dataset, chosen))
+        parts.append(report.verdict(group, columns))
+    parts.append(report.size_table(rows))
+    report.size_figure(rows, out / "time")
+    text = "\n\n".join(part for part in parts if part) + "\n"
+    (out / "table.md").write_text(text)
+    return text
+
+
+if __name__ == "__main__":
+    print(main())
