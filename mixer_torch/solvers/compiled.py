@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import update_wrapper
+from inspect import unwrap
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
@@ -40,6 +41,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     The version of the sources becomes a closure variable, which numba makes part of the key under
     which it keeps the code.
     """
+    function = unwrap(function)  # from the checks of shapes while tests run
     code = function.__code__
     code = code.replace(co_freevars=(*code.co_freevars, "_version"))
     closure = (*(function.__closure__ or ()), CellType(_VERSION))
