@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -57,7 +57,7 @@ class Logistic(Calibrator):
         floor: float = 0.0,
         ceiling: float = 1.0,
         regularisation: float = 1e-3,
-    ) -> Self:
+    ) -> Logistic:
         """Logistic regression of ``same`` on evidence, moved from the sample's prior to 0.5.
 
         It solves, over slope w and offset b,

@@ -36,7 +36,7 @@ class IoU(Scorer):
 
     def __init__(
         self,
-        max_gap: float = 1,
+        max_gap: float = 1.0,
         feature: str = "frame",
         disjoint: float = 0.3,
         indifferent: float = 0.1,

@@ -58,11 +58,10 @@ class Proximity(Scorer):
         squared = (position[a] - position[b]).flatten(1).square().sum(1)
         elapsed = (time[a] - time[b]).abs().to(squared)
         if self.speed > 0:
-            # The root has no gradient at 0, and inside the reach there is none to have.
-            reach = (self.speed * elapsed).square()
-            beyond = squared > reach
-            distance = squared.where(beyond, torch.ones_like(squared)).sqrt()
-            beyond_reach = (distance - self.speed * elapsed).square()
-            squared = beyond_reach.where(beyond | squared.isnan(), torch.zeros_like(squared))
+            reach = self.speed * elapsed
+            within = squared <= reach.square()
+            # Inside the reach there is no gradient to have, and the root has none at 0.
+            distance = squared.where(~within, torch.ones_like(squared)).sqrt()
+            squared = (distance - reach).square().where(~within, torch.zeros_like(squared))
         near = torch.exp(-squared / (2 * self.scale**2))
         return 0.5 + (near - 0.5) * torch.exp(-elapsed / self.memory)
