@@ -15,7 +15,7 @@ from mixer_torch.datasets.parking_lot_scene import AISLE, Layout, Scene
 FIELD_OF_VIEW = math.radians(69)
 CAMERA_HEIGHT = 0.95  # metres
 CORNER = 3.2  # radius of the path at the ends of the rows, metres
-SUPERSAMPLING = 1.5
+SUPERSAMPLING = 1.3
 JPEG_QUALITY = 93
 CODES = 4096  # steps of the sensor before the tone curve
 
@@ -131,7 +131,7 @@ class ParkingLotFrames(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self._cameras)
 
-    def __getitem__(self, index: Any) -> np.ndarray:
+    def __getitem__(self, index: Any) -> Any:
         import cv2
 
         if not -len(self) <= index < len(self):
@@ -141,7 +141,8 @@ class ParkingLotFrames(Sequence[np.ndarray]):
             quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
             image = self._render(index)
             self._encoded[index] = cv2.imencode(".jpg", image[..., ::-1], quality)[1]
-        return cv2.cvtColor(cv2.imdecode(self._encoded[index], cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+        decoded: Any = cv2.imdecode(self._encoded[index], cv2.IMREAD_COLOR)
+        return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB)
 
     def _render(self, index: int) -> np.ndarray:
         import cv2

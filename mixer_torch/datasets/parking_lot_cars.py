@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -45,18 +46,18 @@ class Body:
     rim: int
     badge: str
 
-    def top(self, station: np.ndarray) -> np.ndarray:
+    def top(self, station: Any) -> np.ndarray:
         """Height of the roof line at stations."""
         knots = np.array(self.profile)
         return PchipInterpolator(knots[:, 0], knots[:, 1])(np.clip(station, 0, 1))
 
-    def shoulder(self, station: np.ndarray) -> np.ndarray:
+    def shoulder(self, station: Any) -> np.ndarray:
         """Height at which the side ends and glass, bonnet or boot begin."""
         front, _, _, rear = self.cabin
         belt = np.interp(station, [front, rear], self.belt)
         return np.minimum(self.top(station) - 0.03, belt)
 
-    def half_width(self, station: np.ndarray) -> np.ndarray:
+    def half_width(self, station: Any) -> np.ndarray:
         """Half the width in plan, rounded towards both ends."""
         end = np.abs(2 * np.asarray(station) - 1)
         return self.width / 2 * (1 - 0.05 * end**4 - 0.10 * end**16)
@@ -194,7 +195,8 @@ def _wheel(body: Body, station: float, side: float) -> Mesh:
                      body.wheel * (1 + np.sin(turn))], axis=1)  # fmt: skip
     outside = side * (body.width / 2 + 0.004)
     centre = np.array([[body.along(station), outside, body.wheel]])
-    outer, inner = ring + [0, outside, 0], ring + [0, outside - side * 0.22, 0]
+    outer = ring + np.array([0, outside, 0])
+    inner = outer - np.array([0, side * 0.22, 0])
     vertices = np.concatenate([centre, outer, outer, inner])
     radial = (ring - centre * [1, 0, 1]) / body.wheel
     flat = np.tile([0, side, 0], (SPOKES + 1, 1))

@@ -85,7 +85,8 @@ def _side(body: Body, colour: np.ndarray) -> Canvas:
         canvas.ellipse(at(station), body.wheel, body.wheel * 1.17, body.wheel * 1.17, BLACK, MATTE)
     lamp = float(body.top(np.array(0.06)))
     canvas.polygon(
-        [(at(-0.01), lamp - 0.16), (at(0.07), lamp - 0.11), (at(0.055), lamp - 0.02), (at(0), lamp)],
+        [(at(-0.01), lamp - 0.16), (at(0.07), lamp - 0.11), (at(0.055), lamp - 0.02),
+         (at(0), lamp)],
         CLEAR_LAMP, CHROME,
     )  # fmt: skip
     tail = body.belt[1] - 0.06

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixer_torch.datasets.parking_lot_cars import BODIES, TEXTURES, Body, car_mesh
+from mixer_torch.datasets.parking_lot_cars import BODIES, Body, car_mesh
 from mixer_torch.datasets.parking_lot_paint import paint_car
 from mixer_torch.datasets.parking_lot_rendering import Light, Mesh
 from mixer_torch.datasets.parking_lot_surroundings import panorama, surroundings
@@ -139,7 +139,8 @@ def build_scene(num_cars: int, sun_height: float, harshness: float, seed: int) -
     generator = np.random.default_rng([seed, 1])
     layout = layout_for(num_cars)
     cars = park(layout, num_cars, generator)
-    meshes, textures = [], []
+    meshes: list[Mesh] = []
+    textures: list[np.ndarray] = []
     for number, car in enumerate(cars):
         meshes.append(_place(car, number, len(textures)))
         textures += paint_car(car.body, COLOURS[car.colour], generator)
@@ -193,8 +194,9 @@ def paint_ground(
     half = layout.half_size + MARGIN
     canvas = Canvas(2 * half[0], 2 * half[1], (86, 98, 56), MATTE, 1 / GROUND_CELL)
     kerb = half - MARGIN + 0.6
-    canvas.rectangle(*(half - kerb - 0.2), *(2 * kerb + 0.4), (150, 148, 143))
-    canvas.rectangle(*(half - kerb), *(2 * kerb), (84, 84, 86))
+    for wider, colour in ((0.2, (150, 148, 143)), (0.0, (84, 84, 86))):
+        low, size = half - kerb - wider, 2 * (kerb + wider)
+        canvas.rectangle(low[0], low[1], size[0], size[1], colour)
     _wear(canvas, half, kerb, generator)
     _markings(canvas, half, layout)
     for car in cars:
@@ -204,8 +206,8 @@ def paint_ground(
     canvas.mottle(generator, GROUND_CELL, 0.07)
     canvas.rgb[:] = cv2.GaussianBlur(canvas.rgb, (3, 3), 0.6)
     atlas = Atlas.pack([canvas.texture()])
-    grain = generator.standard_normal((256, 256)).astype(np.float32)
-    grain = 0.17 * grain + 0.07 * blotches(generator, (256, 256), 4)
+    fine = generator.standard_normal((256, 256)).astype(np.float32)
+    grain = 0.17 * fine + 0.07 * blotches(generator, (256, 256), 4)
     return Ground(atlas.table, atlas.texels, half * [-1, 1], GROUND_CELL, grain)
 
 
@@ -217,7 +219,8 @@ def _wear(
         x, y = half + generator.uniform(-kerb, kerb * 0.8)
         shade = generator.uniform(58, 100)
         size = generator.uniform(0.6, 3.5, 2)
-        canvas.rectangle(x, y, *np.minimum(size, half + kerb - [x, y]), (shade, shade, shade + 2))
+        wide, deep = np.minimum(size, half + kerb - [x, y])
+        canvas.rectangle(x, y, wide, deep, (shade, shade, shade + 2))
     for _ in range(45):
         path = [half + generator.uniform(-kerb, kerb)]
         heading = generator.uniform(0, 2 * np.pi)
@@ -243,11 +246,10 @@ def _markings(canvas: Canvas, half: np.ndarray, layout: Layout) -> None:
     canvas.rectangle(half[0] - layout.length / 2, half[1] - 0.06, layout.length, 0.12, white)
     for side in (-1, 1):
         for x in (-layout.length / 4, layout.length / 4):
-            tip = half + [x - side * 0.9, side * layout.aisle]
+            tip = half + np.array([x - side * 0.9, side * layout.aisle])
             canvas.rectangle(min(tip[0], tip[0] + side * 1.8), tip[1] - 0.08, 1.8, 0.16, white)
-            canvas.polygon(
-                [tip - [side * 0.7, 0], tip + [0, 0.35], tip - [0, 0.35]], white
-            )  # fmt: skip
+            head = np.array([[-side * 0.7, 0.0], [0.0, 0.35], [0.0, -0.35]])
+            canvas.polygon(tip + head, white)
 
 
 def _oil(canvas: Canvas, middle: np.ndarray, generator: np.random.Generator) -> None:
@@ -255,11 +257,12 @@ def _oil(canvas: Canvas, middle: np.ndarray, generator: np.random.Generator) -> 
     for _ in range(generator.integers(2, 6)):
         x, y = middle + generator.normal(0, [0.8, 2.2])
         shade = generator.uniform(45, 72)
-        canvas.ellipse(x, y, *generator.uniform(0.05, 0.4, 2), (shade, shade, shade))
+        rx, ry = generator.uniform(0.05, 0.4, 2)
+        canvas.ellipse(x, y, rx, ry, (shade, shade, shade))
     for _ in range(generator.integers(0, 14)):
         x, y = middle + generator.normal(0, [1.2, 2.5])
-        shade = generator.uniform(0.5, 1.2) * np.array([120, 92, 58])
-        canvas.ellipse(x, y, 0.04, 0.04, shade)
+        leaf = generator.uniform(0.5, 1.2) * np.array([120, 92, 58])
+        canvas.ellipse(x, y, 0.04, 0.04, leaf)
 
 
 def _light(

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mixer_torch.datasets.parking_lot_rendering import FOLIAGE, SCENERY, Mesh
+from mixer_torch.datasets.parking_lot_kernels import FOLIAGE, SCENERY
+from mixer_torch.datasets.parking_lot_rendering import Mesh
 from mixer_torch.datasets.parking_lot_textures import CHROME, CUT, GLASS, MATTE, Canvas, blotches
 
 PIECE = 3.0  # metres: longer surfaces are divided, as triangles are not clipped
@@ -26,7 +27,7 @@ def surroundings(
         first_tile: Number of the first of the textures in the atlas.
         generator: Draws.
     """
-    x, y = half_size + [4.0, 3.0]
+    x, y = half_size[0] + 4.0, half_size[1] + 3.0
     meshes: list[Mesh] = []
     textures: list[np.ndarray] = []
 
