@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
     bounded_universe,
     check_evidence,
@@ -51,7 +52,7 @@ class Clear(Solver):
 
     def run(self, problem: Problem) -> Solution:
         weight = evidence_matrix(problem, self.evidence)
-        values, vectors = torch.linalg.eigh(normalized_laplacian(weight))
+        values, vectors = eigh(normalized_laplacian(weight))
         size = self.universe or int((values < self.threshold).sum())
         size = bounded_universe(size, problem.view)
         rows = torch.nn.functional.normalize(vectors[:, :size], dim=1)

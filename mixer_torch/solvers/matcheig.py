@@ -6,6 +6,7 @@ import torch
 
 from mixer_torch.pairs import within_view
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
     best_matches,
     bounded_universe,
@@ -51,7 +52,7 @@ class MatchEIG(Solver):
         weight = evidence_matrix(problem, self.evidence)
         size = self.universe or universe_size(weight, problem.view)
         size = bounded_universe(size, problem.view)
-        values, vectors = torch.linalg.eigh(weight + torch.eye(len(weight)).to(weight))
+        values, vectors = eigh(weight + torch.eye(len(weight)).to(weight))
         leading = values.abs().argsort(descending=True)[:size]
         root = vectors[:, leading] * values[leading].abs().sqrt()
         approximation = root @ root.T

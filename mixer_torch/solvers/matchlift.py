@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
     bounded_universe,
     check_evidence,
@@ -160,7 +161,7 @@ def solve_program(program: Program, max_iterations: int, tolerance: float) -> Po
 
 def positive_part(matrix: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     """The nearest positive semidefinite matrix in the Frobenius norm."""
-    values, vectors = torch.linalg.eigh((matrix + matrix.T) / 2)
+    values, vectors = eigh((matrix + matrix.T) / 2)
     return (vectors * values.clamp(min=0)) @ vectors.T
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
     bounded_universe,
     check_evidence,
@@ -61,5 +62,5 @@ class Spectral(Solver):
 
 def embedding(weight: Float[Tensor, "m m"], size: int) -> Float[Tensor, "m k"]:
     """Rows of the k leading eigenvectors of W + I, scaled to length 1."""
-    vectors = torch.linalg.eigh(weight)[1][:, -size:]  # W and W + I share their eigenvectors
+    vectors = eigh(weight)[1][:, -size:]  # W and W + I share their eigenvectors
     return torch.nn.functional.normalize(vectors, dim=1)

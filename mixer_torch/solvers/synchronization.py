@@ -27,6 +27,7 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, is_distinct
+from mixer_torch.solvers.eigen import eigh
 
 Evidence = Literal["match", "assignment", "attraction", "score"]
 
@@ -84,7 +85,7 @@ def universe_size(weight: Float[Tensor, "m m"], view: Int64[Tensor, " m"]) -> in
     At least the observations in the largest view, at most all of them. The estimate of Fathian et
     al. (2020), who handed it to every algorithm in their comparison; so do we.
     """
-    eigenvalues = torch.linalg.eigvalsh(normalized_laplacian(weight))
+    eigenvalues, _ = eigh(normalized_laplacian(weight))
     return bounded_universe(int((eigenvalues < 0.5).sum()), view)
 
 
