@@ -121,7 +121,7 @@ class ParkingLot(Dataset):
         for frame, (camera, correction) in enumerate(zip(world.cameras, world.drift, strict=True)):
             sight = look(world.scene, camera)
             found = self._detect(sight, generator)
-            for car in generator.permutation(found):
+            for car in generator.permutation(found).tolist():
                 box = self._box(sight, car, generator)
                 points = self._range(sight, box, generator)
                 rows["frame"].append(frame)
@@ -318,7 +318,7 @@ def odometry_error(poses: np.ndarray, drift: float, generator: np.random.Generat
     return np.stack([angle, shift[:, 0], shift[:, 1], np.zeros(len(angle))], axis=1)
 
 
-def _rotation(angle: np.ndarray) -> np.ndarray:
+def _rotation(angle: Any) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 CUT, MATTE, PAINT, GLASS, CHROME = 0, 60, 120, 180, 240
 LEVELS = 4
+Metres = float | int
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,12 @@ class Canvas:
     """
 
     def __init__(
-        self, width: float, height: float, colour: Any, material: int = PAINT, density: float = 110
+        self,
+        width: Metres,
+        height: Metres,
+        colour: Any,
+        material: int = PAINT,
+        density: Metres = 110,
     ) -> None:
         self.density = density
         self.size = (width, height)
@@ -87,13 +93,13 @@ class Canvas:
             cv2.fillPoly(self.material, [corners], material, cv2.LINE_8, 3)
 
     def rectangle(
-        self, x: float, y: float, width: float, height: float, colour: Any, material: Any = None
+        self, x: Metres, y: Metres, width: Metres, height: Metres, colour: Any, material: Any = None
     ) -> None:
         """Fill a rectangle by its lower left corner and its size."""
         corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
         self.polygon(corners, colour, material)
 
-    def line(self, points: Any, colour: Any, width: float) -> None:
+    def line(self, points: Any, colour: Any, width: Metres) -> None:
         """Draw an open chain of segments."""
         import cv2
 
@@ -102,14 +108,14 @@ class Canvas:
         cv2.polylines(self.rgb, [path], False, _tuple(colour), thick, cv2.LINE_AA, 3)
 
     def ellipse(
-        self, x: float, y: float, rx: float, ry: float, colour: Any, material: Any = None
+        self, x: Metres, y: Metres, rx: Metres, ry: Metres, colour: Any, material: Any = None
     ) -> None:
         """Fill an axis-parallel ellipse."""
         turn = np.linspace(0, 2 * np.pi, 28, endpoint=False)
         ring = np.stack([x + rx * np.cos(turn), y + ry * np.sin(turn)], axis=1)
         self.polygon(ring, colour, material)
 
-    def text(self, x: float, y: float, words: str, height: float, colour: Any) -> None:
+    def text(self, x: Metres, y: Metres, words: str, height: Metres, colour: Any) -> None:
         """Write from a baseline's left end; capital letters have the height."""
         import cv2
 
@@ -119,7 +125,7 @@ class Canvas:
         font = cv2.FONT_HERSHEY_SIMPLEX
         cv2.putText(self.rgb, words, origin, font, scale, _tuple(colour), thick, cv2.LINE_AA)
 
-    def mottle(self, generator: np.random.Generator, cell: float, strength: float) -> None:
+    def mottle(self, generator: np.random.Generator, cell: Metres, strength: Metres) -> None:
         """Multiply by smooth noise of a cell size: dirt, wear, uneven colour."""
         factor = 1.0 + strength * blotches(generator, self.rgb.shape[:2], cell * self.density)
         self.rgb[:] = np.clip(self.rgb * factor[..., None], 0, 255)
@@ -129,7 +135,9 @@ class Canvas:
         return np.dstack([self.rgb, self.material])
 
 
-def blotches(generator: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
+def blotches(
+    generator: np.random.Generator, shape: tuple[int, int], cell: float | int
+) -> np.ndarray:
     """Smooth noise (rows, columns) of about unit variance, that changes over a cell of pixels."""
     import cv2
 
