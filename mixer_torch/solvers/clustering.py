@@ -47,7 +47,7 @@ class Clustering(NamedTuple):
 
 @compiled
 def build(weight, token_start, token, label):  # type: ignore[no-untyped-def]
-    """The state of given labels in 0..n-1; the labels are copied."""
+    """The state of given labels in 0..n; the labels are copied."""
     n = len(label)
     tokens = 0
     for t in token:

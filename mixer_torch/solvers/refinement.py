@@ -128,7 +128,7 @@ def _search_parts(  # type: ignore[no-untyped-def]
         tokens = max(tokens, t + 1)
     index = np.full(n, -1, np.int64)
     renumbered = np.full(tokens, -1, np.int64)
-    slot = np.full(n, -1, np.int64)
+    slot = np.full(n + 1, -1, np.int64)
     for p in range(first, last):
         nodes = order[part_start[p] : part_start[p + 1]]
         k = len(nodes)
@@ -164,7 +164,7 @@ def _search_parts(  # type: ignore[no-untyped-def]
             local[i] = slot[c]
         for i in range(k):
             slot[label[nodes[i]]] = -1
-        search(weight, own_start, own, local, restarts, random[p], 7)
+        search(weight, own_start, own, local, restarts, random[p])
         for i in range(k):
             if slot[local[i]] < 0:
                 slot[local[i]] = nodes[i]

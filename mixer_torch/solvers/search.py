@@ -9,90 +9,83 @@ from mixer_torch.solvers.compiled import compiled, draw, shuffle
 from mixer_torch.solvers.exchange import exchange_all, exchange_scratch
 from mixer_torch.solvers.matching import rematch
 
-_PRECISION = 1e-11
+_PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
+_CLUSTERS = 16  # most clusters that a disturbance takes apart
+_REGION = 64  # nodes after which a disturbance takes no further cluster
+_TRIALS = 4  # clusters that are drawn when the next one is chosen
 
 
 @compiled
-def search(weight, token_start, token, label, restarts, random, strategy):  # type: ignore[no-untyped-def]
-    n = len(label)
-    tiny = _PRECISION * np.abs(weight).max() if n else 0.0
-    start_cost = 0.0
-    carrier_start, carrier = _carriers(token_start, token)
+def search(weight, token_start, token, label, restarts, random):  # type: ignore[no-untyped-def]
+    """Improve labels in place; they never get worse.
+
+    Args:
+        weight: (n, n) symmetric costs, 0 on the diagonal and for pairs that share a token.
+        token_start: (n + 1,) int64 and
+        token: (K,) int32 the tokens of each node, 0..T-1.
+        label: (n,) int64 in 0..n, feasible, written.
+        restarts: How many disturbances follow the first descent.
+        random: (1,) uint64 state of the random draws, written.
+
+    Returns:
+        How many of the disturbances led to something better.
+    """
+    tiny = _PRECISION * np.abs(weight).max()
+    carrier_start, carrier = carriers(token_start, token)
     state = build(weight, token_start, token, label)
-    scratch = exchange_scratch(n)
-    start_cost = cost_of(state)
-    cost = start_cost + descend(state, scratch, carrier_start, carrier, np.int64(-1), tiny, strategy)
-    label[:] = state.label
-    region = np.empty(n, np.int64)
-    for _ in range(restarts):
-        now = state.number[1]
-        changed = disturb(state, region, random)
-        changed += descend(state, scratch, carrier_start, carrier, now, tiny, strategy)
-        if changed <= 0:
-            cost += changed
+    scratch = exchange_scratch(len(label))
+    region = np.empty(len(label), np.int64)
+    cost, better, since = cost_of(state), 0, np.int64(-1)
+    for restart in range(-1, restarts):
+        changed = 0.0
+        if restart >= 0:
+            since = state.number[1]
+            changed = disturb(state, region, random)
+        changed += descend(state, scratch, carrier_start, carrier, since, tiny)
+        if changed < -tiny and restart >= 0:
+            better += 1
+        if changed <= 0 and (restart >= 0 or cost_of(state) <= cost):
             label[:] = state.label
         else:
             restore(state, label)
-    return cost
+    return better
 
 
 @compiled
-def descend(state, scratch, carrier_start, carrier, since, tiny, strategy):  # type: ignore[no-untyped-def]
+def descend(state, scratch, carrier_start, carrier, since, tiny):  # type: ignore[no-untyped-def]
+    """All moves in turn, cheap ones first, until none gains; returns the change of the cost.
+
+    Only slots that changed after the time ``since`` are looked at: the rest is at rest already.
+    """
     gained = 0.0
-    matched, merged, exchanged = since, since, since
+    relocated, rematched, merged, exchanged = since, since, since, since
     while True:
-        gained += relocate(state, since, tiny)
-        since = state.number[1]
-        now = state.number[1]
-        if strategy & 1:
-            gained += rematch(state, carrier_start, carrier, matched, tiny)
-            matched = now
-            if state.number[1] > now:
-                continue
-        if strategy & 2:
+        gained += relocate(state, relocated, tiny)
+        now = relocated = state.number[1]
+        gained += rematch(state, carrier_start, carrier, rematched, tiny)
+        rematched = now
+        if state.number[1] == now:
             gained += merge(state, merged, tiny)
             merged = now
-            if state.number[1] > now:
-                continue
-        if strategy & 4:
+        if state.number[1] == now:
             gained += exchange_all(state, scratch, exchanged, tiny)
             exchanged = now
-        if state.number[1] == now:
-            return gained
+            if state.number[1] == now:
+                return gained
 
 
 @compiled
 def disturb(state, region, random):  # type: ignore[no-untyped-def]
-    n = len(state.label)
-    seed = draw(random, n)
-    count = 0
-    changed = 0.0
-    clusters = 1 + draw(random, 3)
-    c = state.label[seed]
-    for r in range(clusters):
-        i = state.head[c]
-        while i >= 0:
-            region[count] = i
-            count += 1
-            i = state.after[i]
-        # next cluster: the best of three random ones for the seed
-        nxt, best = -1, np.inf
-        for _ in range(4):
-            o = state.slot[draw(random, state.number[0])]
-            taken = False
-            for q in range(count):
-                taken = taken or state.label[region[q]] == o
-            if not taken:
-                i = region[draw(random, count)]
-                if state.total[o, i] < best:
-                    nxt, best = o, state.total[o, i]
-        if nxt < 0:
-            break
-        c = nxt
+    """Take a few clusters apart and put their nodes back in random order, each where it is best.
+
+    How many is drawn anew each time, from two to almost all of a small problem: small regions are
+    cheap and often enough, large ones leave deep local optima.
+
+    Returns:
+        The change of the cost.
+    """
+    count, changed = _draw_region(state, region, random), 0.0
     shuffle(random, region, count)
-    keep = draw(random, 3)
-    if keep > 0:
-        count = max(min(count, 2), count * keep // 3)
     for q in range(count):
         i = region[q]
         changed -= state.total[state.label[i], i]
@@ -112,7 +105,37 @@ def disturb(state, region, random):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _carriers(token_start, token):  # type: ignore[no-untyped-def]
+def _draw_region(state, region, random):  # type: ignore[no-untyped-def]
+    """The nodes of some clusters that have to do with each other; returns how many nodes."""
+    count, wanted = 0, 2 + draw(random, _CLUSTERS - 1)
+    c = state.label[draw(random, len(state.label))]
+    for _ in range(wanted):
+        i = state.head[c]
+        while i >= 0:
+            region[count] = i
+            count += 1
+            i = state.after[i]
+        c, best = -1, np.inf
+        for _ in range(_TRIALS):
+            other = state.slot[draw(random, state.number[0])]
+            cost = state.total[other, region[draw(random, count)]]
+            if cost < best and not _contains(state, region, count, other):
+                c, best = other, cost
+        if c < 0 or count >= _REGION:
+            break
+    return count
+
+
+@compiled
+def _contains(state, region, count, slot):  # type: ignore[no-untyped-def]
+    for q in range(count):
+        if state.label[region[q]] == slot:
+            return True
+    return False
+
+
+@compiled
+def carriers(token_start, token):  # type: ignore[no-untyped-def]
     """CSR of the nodes that carry each token."""
     tokens = 0
     for t in token:
