@@ -84,6 +84,18 @@ class Descent:
     history: Float[Tensor, "T B"]
 
 
+def continued(first: Descent, chosen: Bool[Tensor, " B"], then: Descent) -> Descent:
+    """A descent that some problems of its batch went on with; the others keep what they had."""
+    assignment = first.assignment.clone()
+    assignment[chosen] = then.assignment
+    iterations, penalty = first.iterations.clone(), first.penalty.clone()
+    iterations[chosen] += then.iterations
+    penalty[chosen] = then.penalty
+    more = first.history[-1:].repeat(len(then.history), 1)
+    more[:, chosen] = then.history
+    return Descent(assignment, iterations, penalty, torch.cat([first.history, more]))
+
+
 def buckets(sizes: Sequence[int], entries: int = ENTRIES) -> Iterator[list[int]]:
     """Indices of problems that go well into one batch: alike in size, and not too many.
 

@@ -9,10 +9,12 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.solvers.annealing import anneal
-from mixer_torch.solvers.batch import Batch, Descent
+from mixer_torch.solvers.batch import Batch, Descent, continued
 from mixer_torch.solvers.descent import descend
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.rounding import binary_labels, nearest_labels
+
+ANNEALING = 100  # iterations
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class GradientStage:
     Args:
         schedule: "penalty", the paper's, or "anneal".
         projection: Of the paper's schedule: "row_sum_at_most_one" or "simplex".
-        max_iterations: Steps at most.
+        max_iterations: Steps at most. Annealing takes 100 of them; problems that are not binary
+            then, such as those in which nothing attracts, go on from there by the paper's schedule.
         seed: Of the small disturbances.
         precision: Of matrix products when annealing.
     """
@@ -72,22 +75,23 @@ class GradientStage:
 
     def descend(self, batch: Batch, columns: int) -> Descent:
         """The relaxed problems of a batch, with so many columns."""
-        if self.schedule == "anneal":
-            return anneal(
-                batch,
-                columns,
-                iterations=self.max_iterations,
-                seed=self.seed,
-                precision=self.precision,
-            )
-        start = spectral_start(batch, columns, self.seed)
-        return descend(
-            batch,
-            start,
-            projection=self.projection,
-            max_iterations=self.max_iterations,
-            seed=self.seed,
+        if self.schedule == "penalty":
+            start = spectral_start(batch, columns, self.seed)
+            return self._penalised(batch, start, self.projection, self.max_iterations)
+        iterations = min(self.max_iterations, ANNEALING)
+        result = anneal(
+            batch, columns, iterations=iterations, seed=self.seed, precision=self.precision
         )
+        left = self.max_iterations - iterations
+        open_ = ~binary_labels(result.assignment, batch)[1]
+        if not left or not bool(open_.any()):
+            return result
+        rest = Batch(batch.cost[open_], batch.distinctness[open_], batch.mask[open_])
+        finish = self._penalised(rest, result.assignment[open_], "simplex", left)
+        return continued(result, open_, finish)
+
+    def _penalised(self, batch: Batch, start: Tensor, projection: str, limit: int) -> Descent:
+        return descend(batch, start, projection=projection, max_iterations=limit, seed=self.seed)
 
 
 def spectral_start(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:

@@ -16,15 +16,14 @@ from mixer_torch.solvers.joint import Clock, solve_side_by_side
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
 Precision = Literal["float32", "tf32", "bfloat16"]
-ITERATIONS = {"anneal": 100, "penalty": 1000}
 
 
 class Mixer(Solver):
     """Multimodal, multiway association by the continuous relaxation of the paper.
 
     Args:
-        max_iterations: Steps of the gradient stage at most; 100 for annealing, which always takes
-            all of them, and 1000 for the paper's schedule, if None.
+        max_iterations: Steps of the gradient stage at most. Annealing takes 100, and is followed by
+            the paper's schedule only where its result is not binary.
         schedule: How the relaxation becomes binary: "anneal" sweeps it from convex to concave,
             "penalty" is the paper's, with doubled penalties and Armijo line search. If None,
             "anneal" with refinement, "penalty" without.
@@ -47,21 +46,21 @@ class Mixer(Solver):
 
     def __init__(
         self,
-        max_iterations: int | None = None,
-        schedule: Schedule | None = None,
-        projection: Projection = "row_sum_at_most_one",
+        max_iterations: int = 1000,
+        schedule: str | None = None,
+        projection: str = "row_sum_at_most_one",
         refine: bool = True,
         restarts: int = 300,
         time_limit: float | None = None,
         seed: int = 0,
-        precision: Precision = "float32",
+        precision: str = "float32",
         progress: Callable[[float], None] | None = None,
     ) -> None:
         schedule = schedule or ("anneal" if refine else "penalty")
         _check("schedule", schedule, Schedule)
         _check("projection", projection, Projection)
         _check("precision", precision, Precision)
-        if max_iterations is not None and max_iterations < 1:
+        if max_iterations < 1:
             raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
         if restarts < 0:
             raise ValueError(f"restarts: expected at least 0, got {restarts}")
@@ -72,8 +71,7 @@ class Mixer(Solver):
         self.time_limit = time_limit
         self.seed = seed
         self.progress = progress
-        iterations = max_iterations or ITERATIONS[schedule]
-        self.gradient = GradientStage(schedule, projection, iterations, seed, precision)
+        self.gradient = GradientStage(schedule, projection, max_iterations, seed, precision)
 
     def run(self, problem: Problem) -> Solution:
         return self.run_batch([problem])[0]
