@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(_spelled_out(sys.argv[1:] if argv is None else argv))
     name = arguments.subcommand
     command = COMMANDS[name]
-    config = parsers[name].dump(arguments[name])
+    config = parsers[name].dump(arguments[name], skip_unset=False)
     try:
         with Bars() as bars:
             given = {"config": config, "progress": bars}

@@ -25,7 +25,7 @@ DPI = 110
 def frames_figure(
     observations: Observations, labels: Tensor, most: int = 8, columns: int = 4
 ) -> Figure:
-    """Frames spread evenly over those in which something was seen, with coloured boxes.
+    """The fullest frame of each stretch of time, with coloured boxes.
 
     Observations that are alone in their cluster have a thin grey box; those that are by the truth
     of another object than most of their cluster have a dashed red one.
@@ -42,9 +42,10 @@ def frames_figure(
     numbers = labels.cpu().numpy()
     wrong = wrong_by_truth(observations, numbers)
     single = np.bincount(numbers)[numbers] == 1
-    seen = np.unique(images.frame_index)
-    spread = np.linspace(0, len(seen) - 1, min(most, len(seen))).round().astype(np.int64)
-    groups = [np.flatnonzero(images.frame_index == index) for index in seen[np.unique(spread)]]
+    seen, count = np.unique(images.frame_index, return_counts=True)
+    stretches = np.array_split(np.arange(len(seen)), min(most, len(seen)))
+    chosen = [seen[stretch[count[stretch].argmax()]] for stretch in stretches]
+    groups = [np.flatnonzero(images.frame_index == index) for index in chosen]
     shape = images.frame(int(groups[0][0])).shape
     figure, axes = _grid(len(groups), min(columns, len(groups)), shape[0] / shape[1])
     figure.suptitle(_caption(wrong), x=0.006, y=0.995, ha="left", va="top", color=INK)

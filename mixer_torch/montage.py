@@ -51,7 +51,7 @@ class Strip:
 
 
 def clusters_figure(
-    observations: Observations, labels: Tensor, lines: int = 24, width: int = 1800, height: int = 84
+    observations: Observations, labels: Tensor, lines: int = 24, width: int = 1800, height: int = 64
 ) -> Figure:
     """The crops of each cluster in the order of time, and those that are alone at the end.
 

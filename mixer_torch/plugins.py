@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -49,7 +50,7 @@ class Member:
 
     Args:
         class_path: What to write in a configuration; the entry point's value where it is broken.
-        summary: First sentence of its docstring, or what went wrong.
+        summary: First paragraph of its docstring as plain text, or what went wrong.
         cls: The class; None where it could not be loaded.
     """
 
@@ -129,5 +130,5 @@ def _shortest_path(cls: type) -> str:
 
 
 def _summary(cls: type) -> str:
-    first = (inspect.getdoc(cls) or "").split("\n\n")[0]
-    return " ".join(first.split())
+    first = " ".join((inspect.getdoc(cls) or "").split("\n\n")[0].split())
+    return re.sub(r":\w+:`~?([^`]*)`", r"\1", first).replace("``", "")

@@ -42,7 +42,7 @@ def announced(tmp_path, monkeypatch):
     (tmp_path / "announced_scorers.py").write_text(
         "from mixer_torch import Scorer\n\n"
         "class Depth(Scorer):\n"
-        '    """Alike in depth.\n\n    More.\n    """\n'
+        '    """Alike in ``depth``, not :class:`~torch.Tensor`.\n\n    More.\n    """\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
 
@@ -57,7 +57,7 @@ def test_what_other_packages_announce_is_listed(announced):
         m.class_path: m for m in members(BY_NAME["scorers"], [announced("announced_scorers:Depth")])
     }
     depth = found["announced_scorers.Depth"]
-    assert depth.summary == "Alike in depth."
+    assert depth.summary == "Alike in depth, not torch.Tensor."
     assert depth.cls is not None
     assert issubclass(depth.cls, Scorer)
 
