@@ -274,11 +274,12 @@ def _tail_details(canvas: Canvas, body: Body, generator: np.random.Generator) ->
 
 def _dirty(canvas: Canvas, amount: float, generator: np.random.Generator) -> None:
     """Dust that thickens towards the sills."""
-    height = np.linspace(canvas.size[1], 0, len(canvas.rgb))[:, None]
-    noise = blotches(generator, canvas.rgb.shape[:2], 0.12 * canvas.density)
-    film = np.clip(0.55 - height + 0.12 * noise, 0, 0.5) * amount
-    dust = np.array([128, 116, 98])
-    canvas.rgb[:] = canvas.rgb * (1 - film[..., None]) + dust * film[..., None]
+    low = canvas.rgb[len(canvas.rgb) // 2 :]
+    height = np.linspace(canvas.size[1] / 2, 0, len(low), dtype=np.float32)[:, None]
+    noise = blotches(generator, low.shape[:2], 0.12 * canvas.density)
+    film = (amount * np.clip(0.55 - height + 0.12 * noise, 0, 0.5))[..., None]
+    dust = np.array([128, 116, 98], np.float32)
+    low[:] = low + (dust - low) * film
 
 
 def _rim(body: Body, generator: np.random.Generator) -> Canvas:

@@ -35,18 +35,15 @@ class Atlas:
         table = np.zeros((len(textures), LEVELS, 3), np.int64)
         parts, first = [], 0
         for tile, texture in enumerate(textures):
+            rgb, material = np.ascontiguousarray(texture[..., :3]), texture[..., 3].copy()
             for level in range(LEVELS):
-                rows, columns = (max(2, side >> level) for side in texture.shape[:2])
+                if level:
+                    half = tuple(max(2, side >> level) for side in texture.shape[1::-1])
+                    rgb = cv2.resize(rgb, half, interpolation=cv2.INTER_AREA)
+                    material = cv2.resize(material, half, interpolation=cv2.INTER_NEAREST)
+                rows, columns = material.shape
                 table[tile, level] = first, rows, columns
-                part = np.dstack(
-                    [
-                        cv2.resize(texture[..., :3], (columns, rows), interpolation=cv2.INTER_AREA),
-                        cv2.resize(
-                            texture[..., 3], (columns, rows), interpolation=cv2.INTER_NEAREST
-                        ),
-                    ]
-                )
-                parts.append(part.reshape(-1, 4))
+                parts.append(np.dstack([rgb, material]).reshape(-1, 4))
                 first += rows * columns
         cut = np.array([(texture[..., 3] == CUT).any() for texture in textures])
         return cls(table, np.concatenate(parts), cut)
@@ -110,10 +107,15 @@ class Canvas:
     def ellipse(
         self, x: Metres, y: Metres, rx: Metres, ry: Metres, colour: Any, material: Any = None
     ) -> None:
-        """Fill an axis-parallel ellipse."""
-        turn = np.linspace(0, 2 * np.pi, 28, endpoint=False)
-        ring = np.stack([x + rx * np.cos(turn), y + ry * np.sin(turn)], axis=1)
-        self.polygon(ring, colour, material)
+        """Fill an axis-parallel ellipse by its middle and its half axes."""
+        import cv2
+
+        middle = tuple(self._pixels((x, y))[0].tolist())
+        axes = (round(rx * self.density * 8), round(ry * self.density * 8))
+        shape = (middle, axes, 0, 0, 360)
+        cv2.ellipse(self.rgb, *shape, _tuple(colour), -1, cv2.LINE_AA, 3)
+        if material is not None:
+            cv2.ellipse(self.material, *shape, material, -1, cv2.LINE_8, 3)
 
     def text(self, x: Metres, y: Metres, words: str, height: Metres, colour: Any) -> None:
         """Write from a baseline's left end; capital letters have the height."""
