@@ -81,9 +81,8 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
         return parser
     parser.add_argument("--config", action="config", help="File with any of the options below.")
     parameters = set(inspect.signature(command).parameters)
-    parser.add_function_arguments(
-        command, as_positional=name == "solve", skip={*GIVEN} & parameters
-    )
+    given: set[str | int] = {*GIVEN} & parameters
+    parser.add_function_arguments(command, as_positional=name == "solve", skip=given)
     if name == "demo":
         parser.set_defaults({"out": "out/demo"})
     for key in sorted(SHARED - parameters):

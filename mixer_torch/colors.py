@@ -38,6 +38,15 @@ def by_size(labels: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " k"]:
     return values[np.lexsort((values, -size))]
 
 
+def groups(labels: Int64[np.ndarray, " m"]) -> list[np.ndarray]:
+    """The members of each cluster, ascending, the clusters in the order of :func:`by_size`."""
+    if not len(labels):
+        return []
+    order = np.argsort(labels, kind="stable")
+    found = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    return sorted(found, key=lambda members: (-len(members), labels[members[0]]))
+
+
 def is_wrong(
     labels: Int64[np.ndarray, " m"], identity: Int64[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
@@ -46,8 +55,7 @@ def is_wrong(
     Clutter (identity -1) is wrong wherever it is with anything else.
     """
     wrong = np.zeros(len(labels), dtype=bool)
-    for label in np.unique(labels):
-        members = np.flatnonzero(labels == label)
+    for members in groups(labels):
         values, count = np.unique(identity[members], return_counts=True)
         count = np.where(values < 0, 0, count)
         if len(members) > 1:

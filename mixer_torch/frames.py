@@ -155,7 +155,7 @@ def write_video(
     seen = np.unique(images.frame_index)
     height, width = images.frame(int(np.argmin(images.frame_index))).shape[:2]
     rate = _frames_per_second(observations, images)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
     if not writer.isOpened():
         raise OSError(f"{path}: OpenCV cannot write this video here")
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from mixer_torch.colors import FADED, INK, WRONG, by_size, colors, wrong_by_truth
+from mixer_torch.colors import FADED, INK, WRONG, colors, groups, wrong_by_truth
 from mixer_torch.observations import Images, Observations
 from mixer_torch.plots import blank_figure
 
@@ -100,19 +100,18 @@ def _strips(
     sizes: np.ndarray,
     width: int,
 ) -> list[Strip]:
-    ranked = by_size(numbers)
-    count = np.bincount(numbers)
-    groups = [np.flatnonzero(numbers == label) for label in ranked if count[label] > 1]
-    alone = np.flatnonzero(count[numbers] == 1)
+    clusters = groups(numbers)
+    several = [members for members in clusters if len(members) > 1]
+    single = np.array([members[0] for members in clusters if len(members) == 1], dtype=np.int64)
     strips = []
-    for group in [*groups, *([alone] if len(alone) else [])]:
-        several = count[numbers[group[0]]] > 1
+    for group in [*several, *([single] if len(single) else [])]:
+        alone = group is single
         shown = _that_fit(_in_time(observations, group), sizes, width - LABEL - TAIL)
         errors = int(wrong[group].sum())
-        color = tuple(0.92 * colors(numbers[group[:1]])[0]) if several else FADED
+        color = FADED if alone else tuple(0.92 * colors(numbers[group[:1]])[0])
         strips.append(
             Strip(
-                title=f"● {numbers[group[0]]}" if several else "● alone",
+                title="● alone" if alone else f"● {numbers[group[0]]}",
                 note=f"{len(group)} seen" + (f", {errors} wrong" if errors else ""),
                 color=color,
                 note_color=WRONG if errors else INK,

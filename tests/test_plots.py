@@ -5,7 +5,7 @@ import torch
 from mixer_torch import plots
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
-from mixer_torch.colors import INK, MISSED, WRONG, by_size, colors, is_wrong, wrong_by_truth
+from mixer_torch.colors import INK, MISSED, WRONG, by_size, colors, groups, is_wrong, wrong_by_truth
 from mixer_torch.frames import frames_figure, write_video
 from mixer_torch.montage import clusters_figure
 from mixer_torch.observations import Images, Observations, VideoFrames
@@ -66,7 +66,10 @@ def test_colours_depend_on_the_label_alone_and_are_told_apart():
 
 
 def test_clusters_are_ranked_by_size_then_label():
-    assert by_size(np.array([3, 1, 1, 0, 3, 2])).tolist() == [1, 3, 0, 2]
+    labels = np.array([3, 1, 1, 0, 3, 2])
+    assert by_size(labels).tolist() == [1, 3, 0, 2]
+    assert [members.tolist() for members in groups(labels)] == [[1, 2], [0, 4], [3], [5]]
+    assert groups(labels[:0]) == []
 
 
 @pytest.mark.parametrize(
