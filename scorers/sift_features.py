@@ -104,7 +104,7 @@ def _grey(
     return cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC)
 
 
-def unit(descriptors: Float[Tensor, "n 128"], root: bool) -> Float[Tensor, "n 128"]:
+def unit(descriptors: Float[Tensor, "*n d"], root: bool) -> Float[Tensor, "*n d"]:
     """Descriptors of unit Euclidean length: RootSIFT if ``root``."""
     if root:
         descriptors = nn.functional.normalize(descriptors, p=1, dim=-1).clamp(min=0).sqrt()

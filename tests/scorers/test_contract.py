@@ -168,9 +168,7 @@ def test_dtype_of_features_decides_the_work(scorer, dtype):
         if value.is_floating_point() and key not in fixed
     }
     result = scores(scorer, seen.with_features(**cast))
-    torch.testing.assert_close(
-        result.float(), scores(scorer, seen).float(), rtol=1e-4, atol=1e-5
-    )
+    torch.testing.assert_close(result.float(), scores(scorer, seen).float(), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.cuda
@@ -178,9 +176,7 @@ def test_device_of_the_observations_is_that_of_the_scores(scorer):
     seen = observations().to("cuda")
     result = scores(scorer, seen)
     assert result.device.type == "cuda"
-    torch.testing.assert_close(
-        result.cpu(), scores(scorer, observations()), rtol=1e-3, atol=1e-3
-    )
+    torch.testing.assert_close(result.cpu(), scores(scorer, observations()), rtol=1e-3, atol=1e-3)
 
 
 def test_gradients_are_finite(scorer):
