@@ -81,7 +81,7 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
         return parser
     parser.add_argument("--config", action="config", help="File with any of the options below.")
     parameters = set(inspect.signature(command).parameters)
-    given: set[str | int] = {*GIVEN} & parameters
+    given: set[str | int] = {key for key in GIVEN if key in parameters}
     parser.add_function_arguments(command, as_positional=name == "solve", skip=given)
     if name == "demo":
         parser.set_defaults({"out": "out/demo"})
