@@ -239,10 +239,13 @@ def check_needs(scorer: Scorer, observations: Observations) -> None:
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names with a number added to the second and later uses of one."""
-    seen: Counter[str] = Counter()
-    unique = []
+    """Names with a number added to the second and later uses of one, and none twice."""
+    repeats: Counter[str] = Counter()
+    unique: list[str] = []
     for name in names:
-        seen[name] += 1
-        unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+        candidate = name
+        while candidate in unique:
+            repeats[name] += 1
+            candidate = f"{name}_{repeats[name] + 1}"
+        unique.append(candidate)
     return tuple(unique)
