@@ -39,7 +39,7 @@ def run_sizes(sizes):
     """Rows of every algorithm on synthetic problems of about m observations."""
     rows = []
     for size in sizes:
-        affinity, labels = synthetic(objects=size // 10, views=16, visible=0.6, outliers=0, seed=0)
+        affinity, labels = synthetic(objects=size // 10, views=16, visible=0.6, outliers=0.0, seed=0)
         name = f"synthetic_{len(affinity)}"
         for algorithm, solver in comparison.algorithms().items():
             rows.append(comparison.measure(algorithm, solver, affinity, labels, name, 0)[0])
