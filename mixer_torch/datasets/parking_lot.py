@@ -74,7 +74,7 @@ class ParkingLot(Dataset):
         speed: float = 1.9,
         odometry_drift: float = 0.2,
         box_jitter: float = 0.03,
-        miss_rate: float = 0.08,
+        miss_rate: float = 0.06,
         range_noise: float = 0.1,
         range_dropout: float = 0.3,
         light_harshness: float = 1.0,

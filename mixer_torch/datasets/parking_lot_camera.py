@@ -14,7 +14,7 @@ from mixer_torch.datasets.parking_lot_scene import AISLE, Layout, Scene
 
 FIELD_OF_VIEW = math.radians(69)
 CAMERA_HEIGHT = 0.95  # metres
-CORNER = 3.2  # radius of the path at the ends of the rows, metres
+CORNER = 5.0  # radius of the path at the ends of the rows, metres
 SUPERSAMPLING = 1.3
 JPEG_QUALITY = 93
 CODES = 4096  # steps of the sensor before the tone curve
@@ -87,7 +87,7 @@ def mount(
         size: Width and height in pixels.
         generator: Draws.
     """
-    pan = poses[:, 2] + math.radians(16) + math.radians(12) * _waves(distances, (31.0,), generator)
+    pan = poses[:, 2] + math.radians(15) + math.radians(8) * _waves(distances, (31.0,), generator)
     shake = generator.normal(0, math.radians(0.5), (len(poses), 2))
     focal = size[0] / 2 / math.tan(FIELD_OF_VIEW / 2)
     cameras = []

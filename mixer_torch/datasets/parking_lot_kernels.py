@@ -16,7 +16,7 @@ from mixer_torch.datasets.parking_lot_textures import CHROME, CUT, GLASS, MATTE
 SCENERY, FOLIAGE = -1, -2  # owners that are no car; foliage takes no hard shadow
 SUN_DEPTH = 1000.0  # added to depths along the sun, so that they are positive
 SHADOW_CELL = 0.05  # metres
-SHADOW_SLACK = 0.08  # metres by which a surface may lie behind itself in the depth map
+SHADOW_SLACK = 0.15  # metres by which a surface may lie behind itself in the depth map
 GRAIN_CELL = 0.012  # metres
 HORIZON = 90.0  # metres to which the ground is drawn
 

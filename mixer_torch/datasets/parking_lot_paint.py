@@ -92,7 +92,7 @@ def _side(body: Body, colour: np.ndarray) -> Canvas:
     tail = body.belt[1] - 0.06
     canvas.polygon(
         [(at(1.02), tail - 0.2), (at(0.965), tail - 0.15), (at(0.955), tail), (at(1.02), tail)],
-        RED_LAMP, CHROME,
+        RED_LAMP, PAINT,
     )  # fmt: skip
     canvas.rectangle(at(0.055), 0.5, 0.1, 0.03, AMBER_LAMP, MATTE)
     return canvas
@@ -167,7 +167,7 @@ def _lamps(canvas: Canvas, body: Body, colour: np.ndarray, is_front: bool) -> No
         outer, inner = middle + side * 0.97 * half, middle + side * 0.56 * half
         lower, upper = height - 0.08, height + 0.07
         shape = [(inner, lower + 0.03), (outer, lower), (outer, upper), (inner, upper - 0.03)]
-        canvas.polygon(shape, CLEAR_LAMP if is_front else RED_LAMP, CHROME)
+        canvas.polygon(shape, *((CLEAR_LAMP, CHROME) if is_front else (RED_LAMP, PAINT)))
         bulb = 0.5 * (inner + outer)
         canvas.ellipse(bulb, height, 0.055, 0.05, (90, 95, 100) if is_front else (225, 90, 60))
         if not is_front:
