@@ -155,18 +155,6 @@ def restore(state, label):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def cost_of(state):  # type: ignore[no-untyped-def]
-    """Sum of the cost inside clusters, from the labels alone."""
-    total = 0.0
-    n = len(state.label)
-    for i in range(n):
-        for j in range(i):
-            if state.label[i] == state.label[j]:
-                total += state.weight[i, j]
-    return total
-
-
-@compiled
 def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
     """Move single nodes to where they cost least, until none gains by it.
 

@@ -82,6 +82,17 @@ class Graph:
         k = int(label.max()) + 1 if len(label) else 0
         return Graph.from_arrays(k, pairs, self.cost[upper], np.stack([owner, self.token]))
 
+    def subgraph(self, nodes: np.ndarray) -> Graph:
+        """The graph of some nodes (ascending), renumbered in their order."""
+        index = np.full(len(self), -1, np.int64)
+        index[nodes] = np.arange(len(nodes))
+        first = np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.start))
+        inside = (first < self.neighbour) & (index[first] >= 0) & (index[self.neighbour] >= 0)
+        pairs = np.stack([index[first[inside]], index[self.neighbour[inside]]])
+        owner = index[np.repeat(np.arange(len(self)), np.diff(self.token_start))]
+        tokens = np.stack([owner, self.token])[:, owner >= 0]
+        return Graph.from_arrays(len(nodes), pairs, self.cost[inside], tokens)
+
     def objective(self, label: np.ndarray) -> float:
         """Sum of the cost over the pairs inside clusters."""
         return float(_inside_cost(self.start, self.neighbour, self.cost, label))
@@ -93,6 +104,11 @@ class Graph:
         owner = np.repeat(np.asarray(label, dtype=np.int64), np.diff(self.token_start))
         key = owner * (int(self.token.max()) + 1) + self.token
         return len(np.unique(key)) == len(key)
+
+
+def arrays_of(graph: Graph) -> tuple[np.ndarray, ...]:
+    """start, neighbour, cost, token_start, token: what compiled kernels take."""
+    return graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token
 
 
 def compact(label: np.ndarray) -> np.ndarray:

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled, mix
 from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
-from mixer_torch.solvers.graph import Graph, compact, named_by_member
-from mixer_torch.solvers.search import search
+from mixer_torch.solvers.graph import Graph, arrays_of, compact, named_by_member
+from mixer_torch.solvers.multilevel import refine_large
+from mixer_torch.solvers.region import carriers_of, named, search_region
 
 Progress = Callable[[float], None]
-CHUNK = 2_000_000  # work (nodes x restarts) between two looks at the clock
+CHUNK = 100_000  # work (nodes x restarts) between two looks at the clock
+DENSE = 1000  # nodes up to which a part is held as a matrix
+LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
+
+
+class Effort(NamedTuple):
+    """How hard to search: restarts, seed, deadline by ``time.perf_counter()``, progress."""
+
+    restarts: int
+    seed: int
+    deadline: float
+    progress: Progress | None
 
 
 def refine(
@@ -65,7 +78,8 @@ def refine(
     parts = decompose(graph)
     label = named_by_member(cut_along(labels, parts))
     key = np.arange(n) if key is None else np.asarray(key, dtype=np.int64)
-    timed_out = _run(graph, parts, label, restarts, seed, key, deadline, progress)
+    effort = Effort(restarts, seed, deadline, progress)
+    timed_out = _run(graph, parts, label, effort, key)
     label = compact(label)
     stats = {
         "start": start,
@@ -80,98 +94,64 @@ def _run(
     graph: Graph,
     parts: Parts,
     label: np.ndarray,
-    restarts: int,
-    seed: int,
+    effort: Effort,
     key: np.ndarray,
-    deadline: float,
-    progress: Progress | None,
 ) -> bool:
-    """Search each part, in chunks of about equal work; whether time ran out."""
-    random = _seeds(seed, key[parts.order[parts.start[:-1]]])
+    """Search all parts, small ones many at a time, and write the labels; whether time ran out."""
+    random = _seeds(effort.seed, key[parts.order[parts.start[:-1]]])
     size = np.diff(parts.start)
-    work = np.cumsum(size * (restarts + 1))
+    work = np.cumsum(np.where(size > 1, size, 0) * (effort.restarts + 1))
+    arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label)
     done = 0
     while done < len(parts):
         base = work[done - 1] if done else 0
         until = max(int(np.searchsorted(work, base + CHUNK, side="right")), done + 1)
-        timed_out = time.perf_counter() > deadline
-        rounds = int(max(1, size[done] * restarts // CHUNK)) if until == done + 1 else 1
-        for _ in range(rounds):
-            timed_out = time.perf_counter() > deadline
-            now = 0 if timed_out else -(-restarts // rounds)
-            _search_parts(
-                graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token,
-                parts.order, parts.start, done, until, label, now, random,
-            )  # fmt: skip
-            if timed_out:
-                break
+        large = np.flatnonzero(size[done:until] > DENSE)
+        if len(large) and large[0] == 0:
+            until = done + 1
+            _search_large(graph, parts, done, label, effort, random[done])
+            names = named(graph, label)
+        else:
+            until = done + int(large[0]) if len(large) else until
+            rounds = max(1, int(size[done]) * effort.restarts // CHUNK) if until == done + 1 else 1
+            for count in _shares(effort.restarts, rounds):
+                now = 0 if time.perf_counter() > effort.deadline else count
+                for part in range(done, until):
+                    if size[part] > 1:
+                        nodes = parts.order[parts.start[part] : parts.start[part + 1]]
+                        search_region(arrays, carrier, names, nodes, now, random[part])
+                if now < count:
+                    break
         done = until
-        if progress is not None:
-            progress(float(work[done - 1] / work[-1]))
-    return time.perf_counter() > deadline
+        if effort.progress is not None:
+            effort.progress(float(work[done - 1] / max(work[-1], 1)))
+    return time.perf_counter() > effort.deadline
+
+
+def _search_large(
+    graph: Graph, parts: Parts, part: int, label: np.ndarray, effort: Effort, random: np.ndarray
+) -> None:
+    nodes = parts.order[parts.start[part] : parts.start[part + 1]]
+    own = graph if len(nodes) == len(graph) else graph.subgraph(nodes)
+    restarts = -(-effort.restarts // LARGE_SHARE)
+    local = refine_large(own, compact(label[nodes]), restarts, random, effort.deadline)
+    label[nodes] = nodes[named_by_member(local)]
+
+
+def _shares(total: int, rounds: int) -> list[int]:
+    """About equal integers that sum to the total."""
+    edges = [total * i // rounds for i in range(rounds + 1)]
+    return [after - before for before, after in pairwise(edges)]
 
 
 def _seeds(seed: int, key: np.ndarray) -> np.ndarray:
     """(parts, 1) uint64 states of the random draws, one for each part."""
-    base = np.uint64(seed % 2**64)
-    return np.array([[mix(mix(base) + np.uint64(k))] for k in key], np.uint64).reshape(-1, 1)
+    return _hashed(np.uint64(seed % 2**64), key).reshape(-1, 1)
 
 
 @compiled
-def _search_parts(  # type: ignore[no-untyped-def]
-    start, neighbour, cost, token_start, token, order, part_start, first, last,
-    label, restarts, random,
-):  # fmt: skip
-    n = len(start) - 1
-    tokens = 0
-    for t in token:
-        tokens = max(tokens, t + 1)
-    index = np.full(n, -1, np.int64)
-    renumbered = np.full(tokens, -1, np.int64)
-    slot = np.full(n + 1, -1, np.int64)
-    for p in range(first, last):
-        nodes = order[part_start[p] : part_start[p + 1]]
-        k = len(nodes)
-        if k == 1:
-            continue
-        for i in range(k):
-            index[nodes[i]] = i
-        weight = np.zeros((k, k))
-        own_start = np.zeros(k + 1, np.int64)
-        for i in range(k):
-            a = nodes[i]
-            own_start[i + 1] = own_start[i] + token_start[a + 1] - token_start[a]
-            for e in range(start[a], start[a + 1]):
-                j = index[neighbour[e]]
-                if j >= 0:
-                    weight[i, j] = cost[e]
-        own = np.empty(own_start[k], np.int32)
-        used = 0
-        for i in range(k):
-            a = nodes[i]
-            for e in range(token_start[a], token_start[a + 1]):
-                if renumbered[token[e]] < 0:
-                    renumbered[token[e]] = used
-                    used += 1
-                own[own_start[i] + e - token_start[a]] = renumbered[token[e]]
-        local = np.empty(k, np.int64)
-        named = 0
-        for i in range(k):
-            c = label[nodes[i]]
-            if slot[c] < 0:
-                slot[c] = named
-                named += 1
-            local[i] = slot[c]
-        for i in range(k):
-            slot[label[nodes[i]]] = -1
-        search(weight, own_start, own, local, restarts, random[p])
-        for i in range(k):
-            if slot[local[i]] < 0:
-                slot[local[i]] = nodes[i]
-            label[nodes[i]] = slot[local[i]]
-        for i in range(k):
-            slot[local[i]] = -1
-            index[nodes[i]] = -1
-            a = nodes[i]
-            for e in range(token_start[a], token_start[a + 1]):
-                renumbered[token[e]] = -1
+def _hashed(seed, key):  # type: ignore[no-untyped-def]
+    state = np.empty(len(key), np.uint64)
+    for p in range(len(key)):
+        state[p] = mix(mix(seed) + np.uint64(key[p]))
+    return state

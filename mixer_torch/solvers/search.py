@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixer_torch.solvers.clustering import build, cost_of, fits, merge, move, relocate, restore
+from mixer_torch.solvers.clustering import build, fits, merge, move, relocate, restore
 from mixer_torch.solvers.compiled import compiled, draw, shuffle
 from mixer_torch.solvers.exchange import exchange_all, exchange_scratch
 from mixer_torch.solvers.matching import rematch
@@ -35,43 +35,34 @@ def search(weight, token_start, token, label, restarts, random):  # type: ignore
     state = build(weight, token_start, token, label)
     scratch = exchange_scratch(len(label))
     region = np.empty(len(label), np.int64)
-    cost, better, since = cost_of(state), 0, np.int64(-1)
+    better, since = 0, np.int64(-1)
     for restart in range(-1, restarts):
         changed = 0.0
         if restart >= 0:
             since = state.number[1]
             changed = disturb(state, region, random)
-        changed += descend(state, scratch, carrier_start, carrier, since, tiny)
-        if changed < -tiny and restart >= 0:
-            better += 1
-        if changed <= 0 and (restart >= 0 or cost_of(state) <= cost):
+        # all moves in turn, the cheap ones first, until none gains; what has not changed since
+        # a kind of move had its last turn is at rest already
+        relocated, rematched, merged, exchanged = since, since, since, since
+        resting = False
+        while not resting:
+            changed += relocate(state, relocated, tiny)
+            now = relocated = state.number[1]
+            changed += rematch(state, carrier_start, carrier, rematched, tiny)
+            rematched = now
+            if state.number[1] == now:
+                changed += merge(state, merged, tiny)
+                merged = now
+            if state.number[1] == now:
+                changed += exchange_all(state, scratch, exchanged, tiny)
+                exchanged = now
+                resting = state.number[1] == now
+        if changed <= 0:
             label[:] = state.label
+            better += changed < -tiny
         else:
             restore(state, label)
     return better
-
-
-@compiled
-def descend(state, scratch, carrier_start, carrier, since, tiny):  # type: ignore[no-untyped-def]
-    """All moves in turn, cheap ones first, until none gains; returns the change of the cost.
-
-    Only slots that changed after the time ``since`` are looked at: the rest is at rest already.
-    """
-    gained = 0.0
-    relocated, rematched, merged, exchanged = since, since, since, since
-    while True:
-        gained += relocate(state, relocated, tiny)
-        now = relocated = state.number[1]
-        gained += rematch(state, carrier_start, carrier, rematched, tiny)
-        rematched = now
-        if state.number[1] == now:
-            gained += merge(state, merged, tiny)
-            merged = now
-        if state.number[1] == now:
-            gained += exchange_all(state, scratch, exchanged, tiny)
-            exchanged = now
-            if state.number[1] == now:
-                return gained
 
 
 @compiled
