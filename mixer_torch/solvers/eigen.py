@@ -14,16 +14,19 @@ def eigh(
 ) -> tuple[Float[Tensor, "*batch n"], Float[Tensor, "*batch n n"]]:
     """Eigenvalues, ascending, and eigenvectors of symmetric matrices, on their device.
 
-    LAPACK's divide and conquer does not converge for some matrices of few different entries, which
-    have eigenvalues many times over; matches and semantic colours make such matrices. Those are
-    decomposed again in float64, the diagonal moved by a billionth of the largest entry to set
-    equal eigenvalues apart.
+    LAPACK's divide and conquer does not converge, or ends in NaN, for some matrices of few
+    different entries, which have eigenvalues many times over; matches and semantic colours make
+    such matrices. Those are decomposed again in float64, the diagonal moved by a billionth of the
+    largest entry to set equal eigenvalues apart.
     """
     try:
         values, vectors = torch.linalg.eigh(matrix)
+        if bool(values.isfinite().all() & vectors.isfinite().all()):
+            return values, vectors
     except torch.linalg.LinAlgError:
-        finer = matrix.double()
-        ramp = torch.linspace(0, SPLIT, matrix.shape[-1], dtype=finer.dtype, device=finer.device)
-        largest = finer.abs().amax(dim=(-2, -1), keepdim=True)[..., 0]
-        values, vectors = torch.linalg.eigh(finer + torch.diag_embed(largest * ramp))
+        pass  # as where it ends in NaN
+    finer = matrix.double()
+    ramp = torch.linspace(0, SPLIT, matrix.shape[-1], dtype=finer.dtype, device=finer.device)
+    largest = finer.abs().amax(dim=(-2, -1), keepdim=True)[..., 0]
+    values, vectors = torch.linalg.eigh(finer + torch.diag_embed(largest * ramp))
     return values.to(matrix.dtype), vectors.to(matrix.dtype)
