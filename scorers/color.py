@@ -152,8 +152,8 @@ def part_histograms(
         for _, share in picked:
             weight *= share
         np.add.at(bins, tuple(index for index, _ in picked), weight)
-    bins = bins.reshape(parts, -1)
-    return np.sqrt(bins / bins.sum(1, keepdims=True).clip(min=1e-12)).astype(np.float32)
+    weights = bins.reshape(parts, -1)
+    return np.sqrt(weights / weights.sum(1, keepdims=True).clip(min=1e-12)).astype(np.float32)
 
 
 def _soft_bins(

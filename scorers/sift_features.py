@@ -29,7 +29,8 @@ class OpenCVKeypoints:
 
         self.limit = limit
         self.root = root
-        self._sift = cv2.SIFT_create(nfeatures=limit, contrastThreshold=contrast)
+        create = cv2.SIFT_create  # type: ignore[attr-defined]
+        self._sift = create(nfeatures=limit, contrastThreshold=contrast)
 
     def __call__(self, image: UInt8[np.ndarray, "height width"]) -> Float[Tensor, "n 128"]:
         """Unit descriptors of a grey image, the strongest keypoint first."""
@@ -124,7 +125,7 @@ def points_of(
     """
     import cv2
 
-    sift = cv2.SIFT_create()
+    sift = cv2.SIFT_create()  # type: ignore[attr-defined]
     found = torch.full((len(point), 128), torch.nan)
     frame = np.zeros(0, dtype=np.int64) if images is None else images.frame_index
     known = np.isfinite(point).all(1)
