@@ -51,7 +51,11 @@ class Strip:
 
 
 def clusters_figure(
-    observations: Observations, labels: Tensor, lines: int = 24, width: int = 1800, height: int = 64
+    observations: Observations,
+    labels: Tensor,
+    lines: int = 24,
+    width: int = 1800,
+    largest: int = 64,
 ) -> Figure:
     """The crops of each cluster in the order of time, and those that are alone at the end.
 
@@ -64,7 +68,7 @@ def clusters_figure(
         labels: (m,) the cluster of each.
         lines: Lines of crops at most; what does not fit is counted in the heading.
         width: Of the picture, pixels.
-        height: Of a crop, pixels.
+        largest: Height of a crop, pixels; less where not all clusters fit so.
     """
     if observations.images is None:
         raise ValueError("observations: expected images to take crops from, got none")
@@ -72,9 +76,12 @@ def clusters_figure(
         return blank_figure("no observations")
     numbers = labels.cpu().numpy()
     wrong = wrong_by_truth(observations, numbers)
-    sizes = _tile_widths(observations.images, height)
-    strips = _strips(observations, numbers, wrong, sizes, width)
-    shown = _lay_out(strips, width, lines)
+    for height in (largest, round(0.7 * largest)):
+        sizes = _tile_widths(observations.images, height)
+        strips = _strips(observations, numbers, wrong, sizes, width)
+        shown = _lay_out(strips, width, lines)
+        if len(shown) == len(strips):
+            break
     crops = _crops(observations.images, np.concatenate([s.shown for s in shown]), height)
     step = height + 2 * FRAME + 2 * GAP
     canvas = np.full((HEAD + step * (shown[-1].line + 1), width, 3), 255, dtype=np.uint8)
@@ -146,12 +153,14 @@ def _in_time(observations: Observations, members: np.ndarray) -> np.ndarray:
 
 def _tile_widths(images: Images, height: int) -> np.ndarray:
     """(m,) pixels across that each crop takes in a line, from its box where there are boxes."""
+    rows, columns = images.frame(int(np.argmin(images.frame_index))).shape[:2]
     if images.box is None:
-        shape = images.frame(int(np.argmin(images.frame_index))).shape
-        ratio = np.full(len(images), shape[1] / shape[0])
+        ratio = np.full(len(images), columns / rows)
     else:
-        size = np.maximum(np.nan_to_num(images.box[:, 2:] - images.box[:, :2]), 1)
-        ratio = size[:, 0] / size[:, 1]
+        corners = np.nan_to_num(images.box).reshape(-1, 2, 2)
+        low, high = np.floor(corners[:, 0]), np.ceil(corners[:, 1])
+        size = np.clip(high, 0, (columns, rows)) - np.clip(low, 0, (columns, rows))
+        ratio = np.maximum(size[:, 0], 1) / np.maximum(size[:, 1], 1)
     return np.ceil(np.clip(ratio, 0.2, 2) * height) + 2 * FRAME + GAP
 
 
