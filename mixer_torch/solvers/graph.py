@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,10 +45,23 @@ class Graph:
     @classmethod
     def from_problem(cls, problem: Problem) -> Graph:
         """One node an observation, with its view as its token."""
-        view = problem.view.cpu().numpy()
-        pairs = problem.pairs.cpu().numpy()
-        cost = problem.cost.detach().cpu().numpy()
-        return cls.from_arrays(len(view), pairs, cost, np.stack([np.arange(len(view)), view]))
+        return cls.from_problems([problem])
+
+    @classmethod
+    def from_problems(cls, problems: Sequence[Problem]) -> Graph:
+        """Several problems side by side; nothing connects them."""
+        pairs, cost, token, nodes, tokens = [], [], [], 0, 0
+        for problem in problems:
+            view = problem.view.cpu().numpy()
+            pairs.append(problem.pairs.cpu().numpy() + nodes)
+            cost.append(problem.cost.detach().cpu().numpy())
+            token.append(view + tokens)
+            nodes += len(view)
+            tokens += int(view.max()) + 1 if len(view) else 0
+        if not nodes:
+            return cls.from_arrays(0, np.zeros((2, 0), np.int64), [], np.zeros((2, 0), np.int64))
+        incidence = np.stack([np.arange(nodes), np.concatenate(token)])
+        return cls.from_arrays(nodes, np.concatenate(pairs, 1), np.concatenate(cost), incidence)
 
     @classmethod
     def from_arrays(cls, n: int, pairs: Any, cost: Any, tokens: Any) -> Graph:
@@ -60,11 +74,11 @@ class Graph:
             tokens: (2, K) integers: node and token; repeated incidences count once.
         """
         token_start, token = _token_lists(n, np.asarray(tokens))
-        pairs, cost = np.asarray(pairs), np.asarray(cost)
+        pairs, cost = np.asarray(pairs), np.asarray(cost, np.float64)
         keep = _worth_an_edge(pairs[0], pairs[1], cost, token_start, token)
         first = pairs[0][keep].astype(np.int32)
         second = pairs[1][keep].astype(np.int32)
-        start, neighbour, value = _adjacency(n, first, second, cost[keep].astype(np.float64))
+        start, neighbour, value = _adjacency(n, first, second, cost[keep])
         return cls(start, neighbour, value, token_start, token)
 
     def contract(self, label: np.ndarray) -> Graph:

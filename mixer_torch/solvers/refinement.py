@@ -17,6 +17,7 @@ from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import carriers_of, named, search_region
 
 Progress = Callable[[float], None]
+RESTARTS = 150  # of each part
 CHUNK = 100_000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
 LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
@@ -35,7 +36,7 @@ def refine(
     graph: Graph | Problem,
     labels: np.ndarray | None = None,
     *,
-    restarts: int = 300,
+    restarts: int = RESTARTS,
     seed: int = 0,
     time_limit: float | None = None,
     progress: Progress | None = None,
