@@ -24,11 +24,28 @@ class Calibrator(nn.Module):
 
     A score is LR / (1 + LR) with LR = p(evidence | same) / p(evidence | different), so 0.5 is a
     likelihood ratio of 1: the evidence has nothing to say. It is not a posterior probability.
+
+    Most look at nothing but the evidence and define :meth:`forward`. One that depends on
+    circumstances as well (the time between two sightings, the size of the boxes) names the features
+    that tell them in :attr:`needs` and defines :meth:`describe` and :meth:`calibrate`.
+
+    Attributes:
+        needs: Feature keys that it reads beside the evidence.
     """
+
+    needs: ClassVar[tuple[str, ...]] | tuple[str, ...] = ()
 
     def forward(self, evidence: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
         """Scores in [0, 1] of finite evidence, elementwise."""
         return evidence
+
+    def describe(self, observations: Observations) -> Any:
+        """What to know of the circumstances of each observation; None by default."""
+        return None
+
+    def calibrate(self, evidence: Tensor, circumstances: Any, pairs: Tensor) -> Tensor:
+        """Scores (P,) of finite evidence (P,) of pairs (2, P) under the circumstances described."""
+        return self(evidence)
 
 
 class Scorer(nn.Module):
@@ -83,31 +100,64 @@ class Scorer(nn.Module):
         """
         check_needs(self, observations)
         check_pairs(pairs, observations.view)
-        return self.score_described(self.describe(observations), pairs)
+        circumstances = self.calibrator.describe(observations)
+        return self.score_described(self.describe(observations), pairs, None, circumstances)
+
+    @final
+    def evidence(
+        self, observations: Observations, pairs: Tensor, progress: Progress | None = None
+    ) -> Tensor:
+        """Raw evidence (P,) of the pairs (2, P), NaN where there is nothing to say.
+
+        It is what a calibrator is fitted to. Arguments and errors are those of :meth:`forward`.
+        """
+        for key in self.needs:
+            _check_need(self.name, key, observations)
+        check_pairs(pairs, observations.view)
+        description = self.describe(observations)
+        return self._in_chunks(lambda chunk: self._evidence(description, chunk), pairs, progress)
 
     @final
     def score_described(
-        self, description: Any, pairs: Tensor, progress: Progress | None = None
+        self,
+        description: Any,
+        pairs: Tensor,
+        progress: Progress | None = None,
+        circumstances: Any = None,
     ) -> Tensor:
-        """:meth:`forward` after :meth:`describe`: for descriptions that were kept."""
-        scores, done = [], 0
+        """:meth:`forward` after :meth:`describe`: for descriptions that were kept.
+
+        ``circumstances`` is what the calibrator's ``describe`` returned.
+        """
+        return self._in_chunks(
+            lambda chunk: self._score_chunk(description, circumstances, chunk), pairs, progress
+        )
+
+    def _in_chunks(
+        self, work: Callable[[Tensor], Tensor], pairs: Tensor, progress: Progress | None
+    ) -> Tensor:
+        results, done = [], 0
         for chunk in pairs.split(self.chunk, dim=1):
-            scores.append(self._score_chunk(description, chunk))
+            results.append(work(chunk))
             done += chunk.shape[1]
             if progress is not None:
                 progress(f"{self.name}: pairs", done, pairs.shape[1])
-        return torch.cat(scores) if scores else torch.zeros(0, device=pairs.device)
+        return torch.cat(results) if results else torch.zeros(0, device=pairs.device)
 
-    def _score_chunk(self, description: Any, pairs: Tensor) -> Tensor:
+    def _evidence(self, description: Any, pairs: Tensor) -> Tensor:
         evidence = self.compare(description, pairs)
         if evidence.shape != (pairs.shape[1],):
             raise ValueError(
                 f"{self.name}.compare: expected evidence of shape ({pairs.shape[1]},), "
                 f"got {tuple(evidence.shape)}"
             )
-        evidence = evidence if evidence.is_floating_point() else evidence.float()
+        return evidence if evidence.is_floating_point() else evidence.float()
+
+    def _score_chunk(self, description: Any, circumstances: Any, pairs: Tensor) -> Tensor:
+        evidence = self._evidence(description, pairs)
         says = ~evidence.isnan()
-        score = self.calibrator(evidence.where(says, evidence.new_zeros(())))
+        finite = evidence.where(says, evidence.new_zeros(()))
+        score = self.calibrator.calibrate(finite, circumstances, pairs)
         score = score.where(says, score.new_full((), NOTHING_TO_SAY))
         if not bool(((score >= 0) & (score <= 1)).all()):
             wrong = score[~((score >= 0) & (score <= 1))][0].item()
@@ -216,7 +266,9 @@ def score(
     for number, scorer in enumerate(scorers):
         if progress is not None:
             progress(f"{scorer.name}: observations", number, len(scorers))
-        rows.append(scorer.score_described(scorer.describe(observations), chosen, progress))
+        circumstances = scorer.calibrator.describe(observations)
+        description = scorer.describe(observations)
+        rows.append(scorer.score_described(description, chosen, progress, circumstances))
     scores = torch.stack([row.float() for row in rows])
     return Affinity(chosen, scores, observations.view, unique_names([s.name for s in scorers]))
 
@@ -224,18 +276,22 @@ def score(
 def check_needs(scorer: Scorer, observations: Observations) -> None:
     """KeyError, naming the scorer and the feature, where one is missing."""
     for key in scorer.needs:
-        missing = (
-            observations.images is None if key == "images" else key not in observations.features
+        _check_need(scorer.name, key, observations)
+    for key in scorer.calibrator.needs:
+        _check_need(f"the calibrator of {scorer.name}", key, observations)
+
+
+def _check_need(who: str, key: str, observations: Observations) -> None:
+    missing = observations.images is None if key == "images" else key not in observations.features
+    if missing:
+        have = [
+            *observations.features,
+            *(["images"] if observations.images is not None else []),
+        ]
+        raise KeyError(
+            f"{who} needs {key!r}, which the observations do not have "
+            f"(they have: {', '.join(have) or 'nothing'})"
         )
-        if missing:
-            have = [
-                *observations.features,
-                *(["images"] if observations.images is not None else []),
-            ]
-            raise KeyError(
-                f"{scorer.name} needs {key!r}, which the observations do not have "
-                f"(they have: {', '.join(have) or 'nothing'})"
-            )
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:

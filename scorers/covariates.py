@@ -1,0 +1,145 @@
+"""Covariates: under which circumstances a pair was compared, as a few numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+
+from mixer_torch.observations import Observations
+
+Features = Mapping[str, Tensor]
+
+
+def _time_gap(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    return torch.log1p((features["time"][a] - features["time"][b]).abs())
+
+
+def _frame_gap(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    return torch.log1p((features["frame"][a] - features["frame"][b]).abs().double())
+
+
+def _heights(features: Features) -> Tensor:
+    return (features["box"][:, 3] - features["box"][:, 1]).clamp(min=1e-3).log()
+
+
+def _box_size(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    height = _heights(features)
+    return torch.minimum(height[a], height[b])
+
+
+def _size_ratio(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    height = _heights(features)
+    return (height[a] - height[b]).abs()
+
+
+def _confidence(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    return torch.minimum(features["confidence"][a], features["confidence"][b])
+
+
+def _same_camera(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    return (features["camera"][a] == features["camera"][b]).double()
+
+
+COVARIATES: Mapping[str, tuple[str, Callable[[Features, Tensor, Tensor], Tensor]]] = {
+    "time_gap": ("time", _time_gap),
+    "frame_gap": ("frame", _frame_gap),
+    "box_size": ("box", _box_size),
+    "size_ratio": ("box", _size_ratio),
+    "confidence": ("confidence", _confidence),
+    "same_camera": ("camera", _same_camera),
+}
+"""By name: the feature that is read, and the number that it gives a pair.
+
+``time_gap`` log(1 + seconds) between the sightings, ``frame_gap`` log(1 + frames); ``box_size`` log
+of the height of the smaller box, pixels; ``size_ratio`` |log| of the ratio of the heights;
+``confidence`` the lower one of the detector; ``same_camera`` 1 within a camera, 0 across."""
+
+
+BENDS = (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
+
+
+class Covariates(nn.Module):
+    """Covariates of pairs by name, standardised on the pairs that training saw.
+
+    Each becomes two columns: its standardised value z, kept within ±3, and max(z, 0), so that a
+    linear function of the columns can bend once. What is not known counts as average.
+
+    Args:
+        names: Keys of :data:`COVARIATES`.
+
+    Raises:
+        ValueError: There is no covariate of that name, or one is named twice.
+    """
+
+    centre: Tensor
+    spread: Tensor
+    lowest: Tensor
+    highest: Tensor
+
+    def __init__(self, names: Sequence[str] = ()) -> None:
+        super().__init__()
+        for name in names:
+            if name not in COVARIATES:
+                raise ValueError(
+                    f"covariates: expected some of {', '.join(COVARIATES)}, got {name!r}"
+                )
+        if len(set(names)) != len(names):
+            raise ValueError(f"covariates: expected different names, got {list(names)}")
+        self.names = tuple(names)
+        self.needs = tuple(dict.fromkeys(COVARIATES[name][0] for name in names))
+        for buffer, value in (("centre", 0.0), ("spread", 1.0), ("lowest", 0.0), ("highest", 0.0)):
+            full = torch.full((len(names),), value, dtype=torch.float64)
+            self.register_buffer(buffer, full)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def describe(self, observations: Observations) -> Features:
+        """The features that are read."""
+        return {key: observations[key] for key in self.needs}
+
+    def of(self, features: Features, pairs: Int64[Tensor, "2 P"]) -> Float[Tensor, "P c"]:
+        """Raw values (P, c) float64 of pairs; NaN where not known."""
+        a, b = pairs
+        columns = [COVARIATES[name][1](features, a, b).double() for name in self.names]
+        return torch.stack(columns, 1) if columns else pairs.new_zeros(len(a), 0).double()
+
+    def learn(self, values: Float[Tensor, "P c"]) -> None:
+        """Take mean, spread and range from raw values of training."""
+        for k, column in enumerate(values.T):
+            known = column[column.isfinite()]
+            if len(known):
+                self.centre[k] = known.mean()
+                self.spread[k] = known.std(correction=0).clamp(min=1e-9)
+                self.lowest[k], self.highest[k] = known.min(), known.max()
+
+    def columns(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P c2"]:
+        """Standardised columns (P, 2c) of raw values."""
+        z = self._standardised(values)
+        return torch.cat([z, z.clamp(min=0)], 1)
+
+    def base_columns(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P k"]:
+        """Columns for the base rate, which is to be right throughout: bends at each of ``BENDS``,
+        and a constant.
+        """
+        z = self._standardised(values)
+        bent = [(z - bend).clamp(min=0) for bend in BENDS]
+        return torch.cat([z, *bent, values.new_ones(len(values), 1)], 1)
+
+    def _standardised(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P c"]:
+        return ((values - self.centre) / self.spread).clamp(-3, 3).nan_to_num(0.0)
+
+    def support(self, values: Float[Tensor, "P c"]) -> Float[Tensor, " P"]:
+        """1 within the range that training saw, falling to 0 outside of it."""
+        within = [support(values[:, k], self.lowest[k], self.highest[k]) for k in range(len(self))]
+        return torch.stack([values.new_ones(len(values)), *within]).amin(0)
+
+
+def support(value: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+    """1 from lowest to highest, and exp(-3 x) at x times that range outside of it; 1 for NaN."""
+    outside = torch.maximum(lowest - value, value - highest).clamp(min=0)
+    share = outside / (highest - lowest).clamp(min=1e-9)
+    return torch.exp(-3 * share).nan_to_num(1.0)
