@@ -71,9 +71,9 @@ class ParkingLot(Dataset):
         width: int = 640,
         height: int = 480,
         frame_rate: float = 2.0,
-        speed: float = 1.9,
-        odometry_drift: float = 0.2,
-        box_jitter: float = 0.03,
+        speed: float = 1.55,
+        odometry_drift: float = 0.25,
+        box_jitter: float = 0.025,
         miss_rate: float = 0.06,
         range_noise: float = 0.1,
         range_dropout: float = 0.3,
@@ -157,7 +157,7 @@ class ParkingLot(Dataset):
 
     def _box(self, sight: Sight, car: int, generator: np.random.Generator) -> np.ndarray:
         """A jittered box: of the visible part, of the whole, or between the two."""
-        guess = 1.0 if sight.visible[car] > 0.8 else generator.random()
+        guess = 1.0 if sight.visible[car] > 0.8 else 0.6 * generator.random()
         box = guess * sight.inside[car] + (1 - guess) * sight.seen[car]
         size = np.tile(box[2:] - box[:2], 2)
         box = box + generator.normal(0, self.box_jitter, 4) * size
