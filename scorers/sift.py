@@ -45,7 +45,8 @@ class SIFT(Scorer):
             a small crop has few keypoints at its own size.
         root: RootSIFT instead of SIFT.
         ratio: Of Lowe's test; lower is stricter.
-        weak: As many matches say nothing yet.
+        weak: As many matches say nothing yet. With 64 keypoints a crop, two strangers of PETS
+            2009 and TUD-Stadtmitte have as many by chance (the likelihood ratio is 1 at 6 to 7).
         strong: As many matches and more have the greatest score.
         none: Score of no match at all between two crops that both have keypoints.
         size: Diameter of the neighbourhood of a point, pixels.
