@@ -9,6 +9,8 @@ of their strength. Everything but rows.csv is made from it.
 import argparse
 from pathlib import Path
 
+from tqdm import tqdm
+
 from mixer_torch.benchmarks import comparison, report
 
 
@@ -32,7 +34,8 @@ def run(seeds, num_frames):
             rows.append(row)
     names = order(rows)
     for dataset, seed, affinity, identity in scenes:
-        for algorithm, solver in comparison.algorithms().items():
+        solvers = tqdm(comparison.algorithms().items(), f"{dataset} {seed}", disable=None)
+        for algorithm, solver in solvers:
             for k in range(1, len(names) + 1):
                 if (algorithm, k) == ("MIXER", 1):
                     continue

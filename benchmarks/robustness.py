@@ -10,6 +10,8 @@ than 1 where the scores mislead. Everything but rows.csv is made from it.
 import argparse
 from pathlib import Path
 
+from tqdm import tqdm
+
 from mixer_torch.benchmarks import comparison, report
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.exact import Exact
@@ -35,7 +37,7 @@ def run(trials, thin):
     solvers = comparison.algorithms() | {"optimum": Exact(time_limit=20.0)}
     for sweep, (_, values) in SWEEPS.items():
         for value in values[::2] if thin else values:
-            for seed in range(trials):
+            for seed in tqdm(range(trials), f"{sweep} {value}", disable=None):
                 affinity, labels = problem(sweep, value, seed)
                 for name, solver in solvers.items():
                     row, _ = comparison.measure(

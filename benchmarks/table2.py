@@ -9,6 +9,8 @@ against the number of observations m. Everything but rows.csv and failures.csv i
 import argparse
 from pathlib import Path
 
+from tqdm import tqdm
+
 from mixer_torch.benchmarks import comparison, report
 from mixer_torch.benchmarks.comparison import ALL, MODALITIES
 from mixer_torch.datasets.synthetic import synthetic
@@ -25,7 +27,8 @@ def run(quick, seeds):
         *([] if quick else comparison.real_scenes()),
     ):
         sets = [(name,) for name in affinity.modalities] + [affinity.modalities]
-        for name, solver in comparison.algorithms().items():
+        solvers = tqdm(comparison.algorithms().items(), f"{dataset} {seed}", disable=None)
+        for name, solver in solvers:
             for modalities in sets:
                 row, failure = comparison.measure(
                     name, solver, affinity, identity, dataset, seed, modalities
@@ -39,9 +42,11 @@ def run_sizes(sizes):
     """Rows of every algorithm on synthetic problems of about m observations."""
     rows = []
     for size in sizes:
-        affinity, labels = synthetic(objects=size // 10, views=16, visible=0.6, outliers=0.0, seed=0)
+        affinity, labels = synthetic(
+            objects=size // 10, views=16, visible=0.6, outliers=0.0, seed=0
+        )
         name = f"synthetic_{len(affinity)}"
-        for algorithm, solver in comparison.algorithms().items():
+        for algorithm, solver in tqdm(comparison.algorithms().items(), name, disable=None):
             rows.append(comparison.measure(algorithm, solver, affinity, labels, name, 0)[0])
     return rows
 

@@ -11,6 +11,8 @@ import argparse
 import json
 from pathlib import Path
 
+from tqdm import tqdm
+
 from mixer_torch.benchmarks import comparison
 
 
@@ -20,7 +22,8 @@ def run(num_frames):
         comparison.HELD_OUT, num_frames
     ):
         sets = [(name,) for name in affinity.modalities] + [affinity.modalities]
-        for name, (kind, settings) in comparison.SETTINGS.items():
+        candidates = tqdm(comparison.SETTINGS.items(), f"{dataset} {seed}", disable=None)
+        for name, (kind, settings) in candidates:
             for setting in settings if len(settings) > 1 else ():
                 for modalities in sets:
                     row, _ = comparison.measure(

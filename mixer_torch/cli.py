@@ -20,12 +20,15 @@ COMMANDS: dict[str, Callable[..., str]] = {
     "score": commands.score,
     "solve": commands.solve,
     "evaluate": commands.evaluate,
+    "bench": commands.bench,
     "list": commands.list_members,
 }
 SUMMARIES = {"demo": "Run `associate` on the parking lot that comes with the project."}
 GIVEN = ("config", "progress")
 """Parameters of commands that are not arguments: :func:`main` fills them in."""
-SWITCHES = ("--ablate", "--video")
+SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
+POSITIONAL = ("solve", "bench")
+"""Commands whose required arguments go without a name."""
 SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device"}
 """Options that one file may hold for all commands; one that has no use for them lets them by."""
 
@@ -82,7 +85,7 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
     parser.add_argument("--config", action="config", help="File with any of the options below.")
     parameters = set(inspect.signature(command).parameters)
     given: set[str | int] = {key for key in GIVEN if key in parameters}
-    parser.add_function_arguments(command, as_positional=name == "solve", skip=given)
+    parser.add_function_arguments(command, as_positional=name in POSITIONAL, skip=given)
     if name == "demo":
         parser.set_defaults({"out": "out/demo"})
     for key in sorted(SHARED - parameters):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import pkgutil
 import time
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -197,6 +199,27 @@ def list_members() -> str:
         rows = [f"  {member.class_path:<{width}}  {member.summary}" for member in found]
         blocks.append("\n".join([kind.name, *(rows or ["  none"])]))
     return "\n\n".join(blocks)
+
+
+def bench(name: str, out: Path | None = None, quick: bool = False, from_rows: bool = False) -> str:
+    """Run a benchmark: rows first, then tables and figures, which are made from the rows alone.
+
+    Args:
+        name: Which of the modules in the folder `benchmarks`, such as table2.
+        out: Folder to write to; out/benchmarks/NAME if there is none.
+        quick: A small run, to see that it works.
+        from_rows: Run nothing, and make tables and figures from the rows that are there.
+    """
+    package = import_module("mixer_torch.benchmarks")
+    found = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+    module = import_module(f"{package.__name__}.{name}") if name in found else None
+    if not hasattr(module, "main"):
+        raise ValueError(f"name: expected a benchmark, one of {', '.join(found)}, got {name!r}")
+    folder = out or Path("out", "benchmarks", name)
+    switches = {"--quick": quick, "--from_rows": from_rows}
+    options = [option for option, given in switches.items() if given]
+    text = module.main(["--out", str(folder), *options])
+    return f"{text or ''}\nwritten to {folder}".lstrip()
 
 
 def _score(

@@ -8,6 +8,7 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.benchmarks import comparison, figure_ablation, report, robustness, table2, tuning
+from mixer_torch.cli import main
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import evaluate
 from mixer_torch.solvers.threshold import AllPairs
@@ -56,6 +57,24 @@ def test_everything_is_made_from_the_rows_alone(small, tmp_path):
             path.unlink()
     assert table2.main(["--out", str(tmp_path), "--from_rows"]) == first
     assert (tmp_path / "time.svg").exists()
+
+
+def test_bench_command(small, tmp_path, capsys):
+    assert main(["bench", "table2", "--out", str(tmp_path), "--quick"]) == 0
+    shown = capsys.readouterr().out
+    assert (tmp_path / "table.md").read_text().strip() in shown
+    assert f"written to {tmp_path}" in shown
+    (tmp_path / "table.md").unlink()
+    assert main(["bench", "table2", "--out", str(tmp_path), "--from_rows"]) == 0
+    assert (tmp_path / "table.md").exists()
+
+
+@pytest.mark.parametrize("name", ["table9", "report"])
+def test_bench_names_what_there_is(name, capsys):
+    assert main(["bench", name]) == 2
+    message = capsys.readouterr().err
+    assert f"got '{name}'" in message
+    assert "table2" in message
 
 
 def test_best_of_a_column_is_bold_and_of_the_table_underlined():
