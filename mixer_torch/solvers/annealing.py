@@ -63,12 +63,13 @@ def anneal(
     hold = (1 + torch.tensor(curvature).to(step)[:, None, None, None] * step).unbind()
     back = (-step).unbind()
     previous = assignment = _first(batch, columns, seed)
+    matrix = torch.empty_like(cost)
     multiply = _products(precision)
     values = []
     with _allowed_tf32(precision):
         for t in range(iterations):
             ahead = torch.lerp(previous, assignment, 1 + MOMENTUM)
-            matrix = torch.add(cost, batch.distinctness, alpha=weight[t])
+            torch.add(cost, batch.distinctness, alpha=weight[t], out=matrix)
             product = multiply(matrix, ahead)
             values.append(torch.linalg.vecdot(ahead.flatten(1), product.flatten(1)))
             values.append(torch.linalg.vecdot(ahead.flatten(1), ahead.flatten(1)))

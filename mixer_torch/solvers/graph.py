@@ -50,18 +50,18 @@ class Graph:
     @classmethod
     def from_problems(cls, problems: Sequence[Problem]) -> Graph:
         """Several problems side by side; nothing connects them."""
-        pairs, cost, token, nodes, tokens = [], [], [], 0, 0
+        none = np.zeros((2, 0), np.int64)
+        pairs, cost, incidence, nodes, tokens = [none], [np.zeros(0)], [none], 0, 0
         for problem in problems:
-            view = problem.view.cpu().numpy()
+            node, token = problem.incidence.cpu().numpy()
             pairs.append(problem.pairs.cpu().numpy() + nodes)
             cost.append(problem.cost.detach().cpu().numpy())
-            token.append(view + tokens)
-            nodes += len(view)
-            tokens += int(view.max()) + 1 if len(view) else 0
-        if not nodes:
-            return cls.from_arrays(0, np.zeros((2, 0), np.int64), [], np.zeros((2, 0), np.int64))
-        incidence = np.stack([np.arange(nodes), np.concatenate(token)])
-        return cls.from_arrays(nodes, np.concatenate(pairs, 1), np.concatenate(cost), incidence)
+            incidence.append(np.stack([node + nodes, token + tokens]))
+            nodes += len(problem)
+            tokens += int(token.max()) + 1 if len(token) else 0
+        return cls.from_arrays(
+            nodes, np.concatenate(pairs, 1), np.concatenate(cost), np.concatenate(incidence, 1)
+        )
 
     @classmethod
     def from_arrays(cls, n: int, pairs: Any, cost: Any, tokens: Any) -> Graph:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -16,12 +18,14 @@ from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.batch import Batch, buckets
 from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.discrete import part_costs
 from mixer_torch.solvers.gradient import GradientStage, Relaxed
-from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.graph import Graph, compact
+from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
 LARGEST = 2000  # nodes of a part, up to which dense matrices pay
-CLUSTERS = 1.5  # columns of U for each cluster that a first descent finds
+CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
 
 
 class Clock:
@@ -59,20 +63,8 @@ class Joint:
     def of(cls, problems: Sequence[Problem]) -> Joint:
         """Side by side, with tokens that differ from one problem to the other."""
         start = np.cumsum([0] + [len(problem) for problem in problems])
-        pairs, tokens, first = [], [], 0
-        for problem, offset in zip(problems, start.tolist(), strict=False):
-            pairs.append(problem.pairs + offset)
-            node, token = problem.incidence
-            tokens.append(torch.stack([node + offset, token + first]))
-            first += int(token.max()) + 1 if len(token) else 0
-        cost = torch.cat([problem.cost.detach() for problem in problems])
-        graph = Graph.from_arrays(
-            int(start[-1]),
-            torch.cat(pairs, 1).cpu().numpy(),
-            cost.cpu().numpy(),
-            torch.cat(tokens, 1).cpu().numpy(),
-        )
-        return cls(graph, decompose(graph), start, cost)
+        graph = Graph.from_problems(problems)
+        return cls(graph, decompose(graph), start, problems[0].cost)
 
     @property
     def owner(self) -> np.ndarray:
@@ -81,32 +73,73 @@ class Joint:
 
     def refine(
         self,
-        label: np.ndarray | None,
+        label: np.ndarray,
         restarts: int,
         seed: int,
         time_limit: float | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> tuple[np.ndarray, bool]:
-        """Discrete refinement, the same for a problem as if it were alone; whether time ran out."""
-        key = np.arange(len(self.graph)) - self.start[self.owner]
-        label, stats = refine(
-            self.graph,
-            label,
-            restarts=restarts,
-            seed=seed,
-            key=key,
-            time_limit=time_limit,
-            progress=progress,
-        )
-        return label, bool(stats["timed_out"])
+        """Discrete refinement of all problems, on as many threads as torch uses.
 
-    def objective(self, label: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """Sum of the cost over the pairs inside clusters, by group of nodes (part or problem)."""
-        graph = self.graph
-        first = np.repeat(np.arange(len(graph)), np.diff(graph.start))
-        inside = label[first] == label[graph.neighbour]
-        groups = int(by.max()) + 1
-        return np.bincount(by[first[inside]], graph.cost[inside], minlength=groups) / 2
+        A problem's labels depend neither on its neighbours nor on the threads.
+
+        Returns:
+            Better labels, and whether time ran out.
+        """
+        borders = self._shares(torch.get_num_threads())
+        told = np.zeros(len(borders) - 1)
+        lock = Lock()
+
+        def search(share: int) -> tuple[np.ndarray, dict[str, Any]]:
+            def tell(fraction: float) -> None:
+                with lock:
+                    told[share] = fraction
+                    if progress is not None:
+                        progress(float(told @ np.diff(borders)) / len(self.graph))
+
+            first, end = borders[share : share + 2]
+            return refine(
+                self._between(first, end),
+                compact(label[first:end]),
+                restarts=restarts,
+                seed=seed,
+                key=(np.arange(len(self.graph)) - self.start[self.owner])[first:end],
+                time_limit=time_limit,
+                progress=tell,
+            )
+
+        if len(told) == 1:
+            found = [search(0)]
+        else:
+            with ThreadPoolExecutor(len(told)) as pool:
+                found = list(pool.map(search, range(len(told))))
+        moved = [own + first for (own, _), first in zip(found, borders, strict=False)]
+        return np.concatenate(moved), any(stats["timed_out"] for _, stats in found)
+
+    def _shares(self, most: int) -> list[int]:
+        """Nodes at which the problems are divided into shares of about equal size."""
+        wanted = np.arange(1, most) * len(self.graph) / most
+        inner = self.start[np.searchsorted(self.start, wanted)]
+        return sorted({0, *inner.tolist(), len(self.graph)})
+
+    def _between(self, first: int, end: int) -> Graph:
+        """The graph of some consecutive problems, without a copy where there is none to make."""
+        if end - first == len(self.graph):
+            return self.graph
+        edges = slice(*self.graph.start[[first, end]])
+        tokens = slice(*self.graph.token_start[[first, end]])
+        token = self.graph.token[tokens]
+        return Graph(
+            self.graph.start[first : end + 1] - edges.start,
+            self.graph.neighbour[edges] - np.int32(first),
+            self.graph.cost[edges],
+            self.graph.token_start[first : end + 1] - tokens.start,
+            token - token.min() if len(token) else token,
+        )
+
+    def objective(self, label: np.ndarray) -> np.ndarray:
+        """(parts,) cost of the pairs inside clusters, each of which lies in one part."""
+        return part_costs(self.graph, label, self.parts.part, len(self.parts))
 
     def relax(
         self,
@@ -118,10 +151,8 @@ class Joint:
         """What the gradient stage makes of each part that is neither trivial nor too large."""
         size = np.diff(self.parts.start)
         which = np.flatnonzero((size > 2) & (size <= LARGEST))
-        clusters = np.bincount(
-            self.parts.part[np.unique(cut_along(label, self.parts), return_index=True)[1]],
-            minlength=len(size),
-        )
+        first = np.unique(label, return_index=True)[1]
+        clusters = np.bincount(self.parts.part[first], minlength=len(size))
         columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
         found: dict[int, Relaxed] = {}
         for bucket in buckets(size[which].tolist()):
@@ -136,7 +167,7 @@ class Joint:
 
     def labels(self, found: dict[int, Relaxed], otherwise: np.ndarray) -> np.ndarray:
         """The labels of the parts that were found, and other ones for the other parts."""
-        label = cut_along(otherwise, self.parts) + len(self.graph)
+        label = otherwise + len(self.graph)
         for part, relaxed in found.items():
             nodes = self.parts.order[self.parts.start[part] : self.parts.start[part + 1]]
             own = np.unique(relaxed.labels.cpu().numpy(), return_inverse=True)[1]
@@ -145,9 +176,8 @@ class Joint:
 
     def better(self, label: np.ndarray, other: np.ndarray) -> np.ndarray:
         """In each part the labels with the lower objective; both respect parts."""
-        part = self.parts.part
-        win = self.objective(other, part) < self.objective(label, part)
-        return np.where(win[part], cut_along(other, self.parts) + len(self.graph), label)
+        win = self.objective(other) < self.objective(label)
+        return np.where(win[self.parts.part], other + len(self.graph), label)
 
 
 def solve_side_by_side(
@@ -160,22 +190,24 @@ def solve_side_by_side(
 ) -> list[Solution]:
     """Problems of one dtype on one device: two starts for each part, restarts from the better.
 
-    One start is a discrete descent from single observations, the other is the gradient stage's
-    answer, descended as well. The result of each part is never worse than either.
+    One start is greedy contraction, the other is the gradient stage's answer. The result of each
+    part is never worse than either.
     """
     clock = Clock(time_limit)
     joint = Joint.of(problems)
-    alone, _ = joint.refine(None, 0, seed, clock.left())
-    found = joint.relax(stage, alone, clock, lambda part: progress(0.3 * part))
-    relaxed = joint.labels(found, alone)
-    descended, _ = joint.refine(relaxed, 0, seed, clock.left())
-    label = joint.better(alone, descended)
+    contracted = cut_along(greedy(joint.graph), joint.parts)
+    found = joint.relax(stage, contracted, clock, lambda part: progress(0.3 * part))
+    relaxed = joint.labels(found, contracted)
+    label = joint.better(contracted, relaxed)
     label, timed_out = joint.refine(
         label, restarts, seed, clock.left(), lambda part: progress(0.3 + 0.7 * part)
     )
-    owner = joint.owner
-    stages = {"descent": alone, "gradient": relaxed, "refined": label}
-    value = {name: joint.objective(labels, owner) for name, labels in stages.items()}
+    stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
+    home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
+    value = {
+        name: np.bincount(home, joint.objective(labels), len(problems))
+        for name, labels in stages.items()
+    }
     histories = _histories(joint, found)
     solutions = []
     for b, problem in enumerate(problems):

@@ -12,6 +12,7 @@ from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.batch import Batch, buckets
 from mixer_torch.solvers.gradient import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
+from mixer_torch.solvers.refinement import RESTARTS
 
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
@@ -31,7 +32,7 @@ class Mixer(Solver):
             in the paper, or "simplex" (row sum 1), as in the authors' later version. Annealing
             needs row sums of 1.
         refine: Whether discrete moves follow. Without, this is the algorithm of the paper.
-        restarts: Perturbed restarts of the refinement.
+        restarts: Perturbed restarts of the refinement, in each part that can be solved apart.
         time_limit: Seconds, after which the best answer so far is returned; None for no limit.
         seed: Of all random draws.
         precision: Of the matrix products when annealing: "float32" (or float64, where the scores
@@ -50,7 +51,7 @@ class Mixer(Solver):
         schedule: str | None = None,
         projection: str = "row_sum_at_most_one",
         refine: bool = True,
-        restarts: int = 300,
+        restarts: int = RESTARTS,
         time_limit: float | None = None,
         seed: int = 0,
         precision: str = "float32",
