@@ -213,12 +213,13 @@ def bench(name: str, out: Path | None = None, quick: bool = False, from_rows: bo
     package = import_module("mixer_torch.benchmarks")
     found = sorted(module.name for module in pkgutil.iter_modules(package.__path__))
     module = import_module(f"{package.__name__}.{name}") if name in found else None
-    if not hasattr(module, "main"):
+    run = getattr(module, "main", None)
+    if run is None:
         raise ValueError(f"name: expected a benchmark, one of {', '.join(found)}, got {name!r}")
     folder = out or Path("out", "benchmarks", name)
     switches = {"--quick": quick, "--from_rows": from_rows}
     options = [option for option, given in switches.items() if given]
-    text = module.main(["--out", str(folder), *options])
+    text = run(["--out", str(folder), *options])
     return f"{text or ''}\nwritten to {folder}".lstrip()
 
 
