@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mixer_torch.datasets.parking_lot_kernels import FOLIAGE, SCENERY
-from mixer_torch.datasets.parking_lot_rendering import Mesh
-from mixer_torch.datasets.parking_lot_textures import CHROME, CUT, GLASS, MATTE, Canvas, blotches
+from mixer_torch.datasets.lot.kernels import FOLIAGE, SCENERY
+from mixer_torch.datasets.lot.rendering import Mesh
+from mixer_torch.datasets.lot.textures import CHROME, CUT, GLASS, MATTE, Canvas, blotches
 
 PIECE = 3.0  # metres: longer surfaces are divided, as triangles are not clipped
 PLASTER = ((168, 84, 66), (196, 186, 168), (150, 152, 155), (205, 176, 130))

@@ -11,7 +11,7 @@ from typing import no_type_check
 
 from numba import njit
 
-from mixer_torch.datasets.parking_lot_textures import CHROME, CUT, GLASS, MATTE
+from mixer_torch.datasets.lot.textures import CHROME, CUT, GLASS, MATTE
 
 SCENERY, FOLIAGE = -1, -2  # owners that are no car; foliage takes no hard shadow
 SUN_DEPTH = 1000.0  # added to depths along the sun, so that they are positive

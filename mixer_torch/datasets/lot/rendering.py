@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from mixer_torch.datasets import parking_lot_kernels as kernels
-from mixer_torch.datasets.parking_lot_kernels import SHADOW_CELL, SUN_DEPTH
-from mixer_torch.datasets.parking_lot_textures import Atlas
+from mixer_torch.datasets.lot import kernels
+from mixer_torch.datasets.lot.kernels import SHADOW_CELL, SUN_DEPTH
+from mixer_torch.datasets.lot.textures import Atlas
 
 NEAR = 0.15
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mixer_torch.datasets.parking_lot_cars import DRAWN_HEIGHT, Body
-from mixer_torch.datasets.parking_lot_textures import CHROME, GLASS, MATTE, PAINT, Canvas, blotches
+from mixer_torch.datasets.lot.cars import DRAWN_HEIGHT, Body
+from mixer_torch.datasets.lot.textures import CHROME, GLASS, MATTE, PAINT, Canvas, blotches
 
 TINT = (24, 30, 33)
 BLACK = (16, 16, 17)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixer_torch.datasets.parking_lot_cars import BODIES, Body, car_mesh
-from mixer_torch.datasets.parking_lot_paint import paint_car
-from mixer_torch.datasets.parking_lot_rendering import Light, Mesh
-from mixer_torch.datasets.parking_lot_surroundings import panorama, surroundings
-from mixer_torch.datasets.parking_lot_textures import MATTE, Atlas, Canvas, blotches
+from mixer_torch.datasets.lot.cars import BODIES, Body, car_mesh
+from mixer_torch.datasets.lot.paint import paint_car
+from mixer_torch.datasets.lot.rendering import Light, Mesh
+from mixer_torch.datasets.lot.surroundings import panorama, surroundings
+from mixer_torch.datasets.lot.textures import MATTE, Atlas, Canvas, blotches
 
 BAY_WIDTH, BAY_DEPTH, AISLE = 2.5, 5.0, 6.4  # metres
 GROUND_CELL = 0.04

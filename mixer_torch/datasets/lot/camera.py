@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from mixer_torch.datasets.parking_lot_rendering import Camera, shade
-from mixer_torch.datasets.parking_lot_scene import AISLE, Layout, Scene
+from mixer_torch.datasets.lot.rendering import Camera, shade
+from mixer_torch.datasets.lot.scene import AISLE, Layout, Scene
 
 FIELD_OF_VIEW = math.radians(69)
 CAMERA_HEIGHT = 0.95  # metres

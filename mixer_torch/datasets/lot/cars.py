@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mixer_torch.datasets.parking_lot_rendering import Mesh
+from mixer_torch.datasets.lot.rendering import Mesh
 
 LEFT, RIGHT, FRONT, BACK, TOP, RIM, DARK = range(7)
 TEXTURES = 7  # a car's textures, in the order above
