@@ -56,7 +56,7 @@ def solve_discrete_batch(
     Args:
         problems: Any number of any sizes.
         starts: For each problem any number of feasible labels (m,); none at all if None.
-        restarts: Perturbed restarts of each component.
+        restarts: Perturbed restarts in a row without gain after which a component is left.
         seed: Of all random draws.
         time_limit: Seconds for all of them together; None for no limit.
         progress: Told the fraction that is done.

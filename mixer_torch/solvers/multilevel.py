@@ -80,7 +80,7 @@ def _regions(
         if time.perf_counter() > deadline:
             break
         nodes = _around(arrays, had_turn, seed, REGION)
-        search_region(arrays, carrier, names, nodes, restarts, random)
+        search_region(arrays, carrier, names, nodes, restarts, restarts, 0, random)
         done += len(nodes)
         if progress is not None:
             progress(done / len(graph))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +13,12 @@ from mixer_torch.solvers.compiled import compiled, mix
 from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.graph import Graph, arrays_of, compact, named_by_member
 from mixer_torch.solvers.multilevel import refine_large
-from mixer_torch.solvers.region import carriers_of, named, search_region
+from mixer_torch.solvers.region import Names, carriers_of, named, search_region
 
 Progress = Callable[[float], None]
-RESTARTS = 150  # of each part
-CHUNK = 100_000  # work (nodes x restarts) between two looks at the clock
+RESTARTS = 100  # in a row that bring nothing before a part is left
+PERSISTENCE = 20  # restarts of one part are at most this many times those
+CHUNK = 20_000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
 LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
 
@@ -45,14 +45,15 @@ def refine(
     """Better labels, never worse ones.
 
     Each part (:func:`decompose`) is descended by moves of single nodes, re-matching of one token's
-    carriers, merges and exchanges until none gains; then ``restarts`` times a random region is
-    taken apart, put together in random order and descended again, and the result is kept if it is
-    not worse.
+    carriers, merges and exchanges until none gains. Then, again and again, a random region is
+    taken apart, put together in random order and descended, and the result is kept if it is not
+    worse; until ``restarts`` of these in a row have brought nothing. Parts of two nodes are joined
+    (a negative cost connects them); parts too large for a matrix go to :func:`refine_large`.
 
     Args:
         graph: The problem.
         labels: (n,) feasible start of any integers >= 0; every node alone if None.
-        restarts: Perturbed restarts of each part.
+        restarts: Perturbed restarts in a row without gain after which a part is left.
         seed: Of all random draws; the same seed gives the same labels where time does not run out.
         time_limit: Seconds after which no further restart begins; None for no limit.
         progress: Told the fraction that is done.
@@ -61,8 +62,8 @@ def refine(
             does not depend on the others.
 
     Returns:
-        Labels (n,) int64, 0.. without holes, and stats: ``start`` and ``objective``, ``parts``,
-        ``restarts`` (perturbed ones, of all parts), ``timed_out``.
+        Labels (n,) int64, 0.. without holes, and stats: the costs ``start`` and ``objective``,
+        ``parts`` (their number) and ``timed_out``.
 
     Raises:
         ValueError: The labels are malformed or break a constraint.
@@ -91,58 +92,58 @@ def refine(
     return label, stats
 
 
-def _run(
-    graph: Graph,
-    parts: Parts,
-    label: np.ndarray,
-    effort: Effort,
-    key: np.ndarray,
-) -> bool:
-    """Search all parts, small ones many at a time, and write the labels; whether time ran out."""
+def _run(graph: Graph, parts: Parts, label: np.ndarray, effort: Effort, key: np.ndarray) -> bool:
+    """Search all parts one after the other and write the labels; whether time ran out."""
     random = _seeds(effort.seed, key[parts.order[parts.start[:-1]]])
     size = np.diff(parts.start)
-    work = np.cumsum(np.where(size > 1, size, 0) * (effort.restarts + 1))
+    pair = parts.start[:-1][size == 2]  # connected by a negative cost, so they belong together
+    label[parts.order[pair + 1]] = label[parts.order[pair]]
     arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label)
-    done = 0
-    while done < len(parts):
-        base = work[done - 1] if done else 0
-        until = max(int(np.searchsorted(work, base + CHUNK, side="right")), done + 1)
-        large = np.flatnonzero(size[done:until] > DENSE)
-        if len(large) and large[0] == 0:
-            until = done + 1
-            _search_large(graph, parts, done, label, effort, random[done])
+    work = np.cumsum(np.where(size > 2, size, 0))
+    reported = 0
+    for part in np.flatnonzero(size > 2):
+        nodes = parts.order[parts.start[part] : parts.start[part + 1]]
+        if size[part] > DENSE:
+            _search_large(graph, nodes, label, effort, random[part])
             names = named(graph, label)
         else:
-            until = done + int(large[0]) if len(large) else until
-            rounds = max(1, int(size[done]) * effort.restarts // CHUNK) if until == done + 1 else 1
-            for count in _shares(effort.restarts, rounds):
-                now = 0 if time.perf_counter() > effort.deadline else count
-                for part in range(done, until):
-                    if size[part] > 1:
-                        nodes = parts.order[parts.start[part] : parts.start[part + 1]]
-                        search_region(arrays, carrier, names, nodes, now, random[part])
-                if now < count:
-                    break
-        done = until
-        if effort.progress is not None:
-            effort.progress(float(work[done - 1] / max(work[-1], 1)))
+            _search_small(arrays, carrier, names, nodes, effort, random[part])
+        if effort.progress is not None and work[part] - reported > CHUNK:
+            reported = int(work[part])
+            effort.progress(reported / int(work[-1]))
     return time.perf_counter() > effort.deadline
 
 
-def _search_large(
-    graph: Graph, parts: Parts, part: int, label: np.ndarray, effort: Effort, random: np.ndarray
+def _search_small(
+    arrays: tuple[np.ndarray, ...],
+    carrier: tuple[np.ndarray, np.ndarray],
+    names: Names,
+    nodes: np.ndarray,
+    effort: Effort,
+    random: np.ndarray,
 ) -> None:
-    nodes = parts.order[parts.start[part] : parts.start[part + 1]]
+    """Search one part, and look at the clock now and then."""
+    patience = min(effort.restarts, len(nodes) ** 2)
+    share, failed = max(1, CHUNK // len(nodes)), 0
+    left = PERSISTENCE * patience
+    while True:
+        late = time.perf_counter() > effort.deadline
+        limit = 0 if late else min(left, share)
+        failed = search_region(arrays, carrier, names, nodes, patience, limit, failed, random)
+        left -= limit
+        if late or left == 0 or failed >= patience:
+            return
+
+
+def _search_large(
+    graph: Graph, nodes: np.ndarray, label: np.ndarray, effort: Effort, random: np.ndarray
+) -> None:
     own = graph if len(nodes) == len(graph) else graph.subgraph(nodes)
     restarts = -(-effort.restarts // LARGE_SHARE)
-    local = refine_large(own, compact(label[nodes]), restarts, random, effort.deadline)
+    local = refine_large(
+        own, compact(label[nodes]), restarts, random, effort.deadline, effort.progress
+    )
     label[nodes] = nodes[named_by_member(local)]
-
-
-def _shares(total: int, rounds: int) -> list[int]:
-    """About equal integers that sum to the total."""
-    edges = [total * i // rounds for i in range(rounds + 1)]
-    return [after - before for before, after in pairwise(edges)]
 
 
 def _seeds(seed: int, key: np.ndarray) -> np.ndarray:

@@ -62,9 +62,11 @@ def search_region(
     carrier: tuple[np.ndarray, np.ndarray],
     names: Names,
     nodes: np.ndarray,
-    restarts: int,
+    patience: int,
+    limit: int,
+    failed: int,
     random: np.ndarray,
-) -> None:
+) -> int:
     """Search for better places of some nodes.
 
     The members of a cluster that are not among them stay together as one node, whose costs add and
@@ -76,12 +78,15 @@ def search_region(
         carrier: start and nodes of the CSR of the nodes that carry each token.
         names: The labels, written.
         nodes: (k,) the nodes that are free to move.
-        restarts: See :func:`search`.
+        patience: See :func:`search`, as
+        limit: and
+        failed: and what it returns.
         random: (1,) uint64 state, written.
     """
     weight, token_start, token, local, kept = _cut_out(graph, carrier, names, nodes)
-    search(weight, token_start, token, local, restarts, random)
+    failed = search(weight, token_start, token, local, patience, limit, failed, random)
     _put_back(names, nodes, kept, local)
+    return failed
 
 
 @compiled

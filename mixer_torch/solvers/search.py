@@ -16,7 +16,7 @@ _TRIALS = 4  # clusters that are drawn when the next one is chosen
 
 
 @compiled
-def search(weight, token_start, token, label, restarts, random):  # type: ignore[no-untyped-def]
+def search(weight, token_start, token, label, patience, limit, failed, random):  # type: ignore[no-untyped-def]
     """Improve labels in place; they never get worse.
 
     Args:
@@ -24,19 +24,21 @@ def search(weight, token_start, token, label, restarts, random):  # type: ignore
         token_start: (n + 1,) int64 and
         token: (K,) int32 the tokens of each node, 0..T-1.
         label: (n,) int64 in 0..n, feasible, written.
-        restarts: How many disturbances follow the first descent.
+        patience: Disturbances in a row that bring nothing after which the search ends.
+        limit: Most disturbances.
+        failed: How many brought nothing in a row before this call.
         random: (1,) uint64 state of the random draws, written.
 
     Returns:
-        How many of the disturbances led to something better.
+        How many disturbances in a row brought nothing at the end.
     """
     tiny = _PRECISION * np.abs(weight).max()
     carrier_start, carrier = carriers(token_start, token)
     state = build(weight, token_start, token, label)
     scratch = exchange_scratch(len(label))
     region = np.empty(len(label), np.int64)
-    better, since = 0, np.int64(-1)
-    for restart in range(-1, restarts):
+    since = np.int64(-1)
+    for restart in range(-1, limit):
         changed = 0.0
         if restart >= 0:
             since = state.number[1]
@@ -59,10 +61,13 @@ def search(weight, token_start, token, label, restarts, random):  # type: ignore
                 resting = state.number[1] == now
         if changed <= 0:
             label[:] = state.label
-            better += changed < -tiny
         else:
             restore(state, label)
-    return better
+        if restart >= 0:
+            failed = 0 if changed < -tiny else failed + 1
+        if failed >= patience:
+            break
+    return failed
 
 
 @compiled
