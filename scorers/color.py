@@ -26,6 +26,8 @@ HUES = {
 NAMES = (GREY, *HUES, "black", "white")
 SIZE = (32, 64)
 """Width and height in pixels that each crop is brought to, so that all cost and count the same."""
+UNLIKE = 5
+"""Crops with nothing in common that the mean is taken with: a few that are all alike stay alike."""
 
 
 class Color(Scorer):
@@ -37,11 +39,11 @@ class Color(Scorer):
     ``histogram`` compares distributions over hue, saturation and brightness, part by part from top
     to bottom (so that shirt and trousers do not mix), pixels near the vertical axis of the box
     counting most (so that the background does not). With d the square roots of a crop's part-wise
-    frequencies and c their mean over all observations, the evidence is the cosine of d_a - c and
-    d_b - c: subtracting what all have in common leaves two strangers at 0 on average, without
-    labels, whatever the scene's light. The logistic set by hand has its midpoint above that: on
-    PETS 2009 and TUD-Stadtmitte the likelihood ratio is 1 at about 0.25, and its logarithm grows by
-    8 to 10 a unit. The default stays 0.1 above, because clothes that are alike are so in every
+    frequencies and c their mean over all observations (shrunk where there are few), the evidence
+    is the cosine of d_a - c and d_b - c: subtracting what all have in common leaves two strangers
+    at 0 on average, without labels, whatever the scene's light. The logistic set by hand has its
+    midpoint above that: on PETS 2009 and TUD-Stadtmitte the likelihood ratio is 1 at about 0.25,
+    and its logarithm grows by 8 to 10 a unit. The default stays 0.1 above, because clothes that are alike are so in every
     view, so that the same mistake would be counted many times.
 
     Args:
@@ -123,7 +125,7 @@ class Color(Scorer):
 
 def _centred(histograms: Float[Tensor, "m d"]) -> Float[Tensor, "m d"]:
     known = histograms.isfinite().all(1)
-    centre = histograms[known].sum(0) / max(int(known.sum()), 1)
+    centre = histograms[known].sum(0) / (int(known.sum()) + UNLIKE)
     return torch.nn.functional.normalize(histograms - centre, dim=1)
 
 
