@@ -43,8 +43,8 @@ class Color(Scorer):
     is the cosine of d_a - c and d_b - c: subtracting what all have in common leaves two strangers
     at 0 on average, without labels, whatever the scene's light. The logistic set by hand has its
     midpoint above that: on PETS 2009 and TUD-Stadtmitte the likelihood ratio is 1 at about 0.25,
-    and its logarithm grows by 8 to 10 a unit. The default stays 0.1 above, because clothes that are alike are so in every
-    view, so that the same mistake would be counted many times.
+    and its logarithm grows by 8 to 10 a unit. The default stays 0.1 above, because clothes that are
+    alike are so in every view, so that the same mistake would be counted many times.
 
     Args:
         mode: ``semantic`` or ``histogram``.
