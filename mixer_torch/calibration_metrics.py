@@ -110,7 +110,7 @@ def reliability(
         pairs at prior 0.5; ``count`` of pairs.
     """
     score = torch.sigmoid(log_ratio)
-    weight = torch.where(same, 0.5 / same.sum(), 0.5 / (~same).sum())
+    weight = torch.where(same, 0.5 / same.sum(), 0.5 / (~same).sum()).to(score)
     place = (score * bins).long().clamp(max=bins - 1)
     total = torch.zeros(bins).to(weight).index_add_(0, place, weight)
     hits = torch.zeros_like(total).index_add_(0, place, weight * same)

@@ -18,7 +18,7 @@ from mixer_torch.scoring import Calibrator
 from scorers.covariates import Covariates, Features, support
 
 FOLDS = 4
-ENOUGH, RIVALS = 10_000, 5
+ENOUGH, RIVALS = 4_000, 4
 """Different pairs that descent keeps: at least so many, and so many for each same pair."""
 CONVINCING = 5.0
 """Nats of held-out log likelihood that a calibrator has to gain before it may speak at all. Twice
@@ -272,7 +272,7 @@ def thinned(same: Bool[Tensor, " P"]) -> tuple[Bool[Tensor, " P"], float]:
     return chosen, wanted / len(different)
 
 
-def minimise(loss: Any, parameters: list[nn.Parameter], iterations: int = 100) -> None:
+def minimise(loss: Any, parameters: list[nn.Parameter], iterations: int = 60) -> None:
     """Minimise a smooth function of parameters by L-BFGS."""
     optimiser = torch.optim.LBFGS(
         parameters,

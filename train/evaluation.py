@@ -1,0 +1,109 @@
+"""What training was worth: calibration of each modality, and F1 after solving."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mixer_torch.affinity import Affinity
+from mixer_torch.calibration_metrics import calibration_metrics
+from mixer_torch.fusion import Fusion
+from mixer_torch.metrics import evaluate
+from mixer_torch.solvers.base import solve
+from train.pictures import histograms_figure, reliability_figure, save
+from train.tables import PairTable
+
+Affinities = Mapping[str, tuple[Callable[[PairTable], Tensor], Fusion | None]]
+"""By name of what is compared: scores (l, P) of a table, and the fusion that goes with them."""
+
+
+def evaluate_scores(
+    folder: Path,
+    tables: Sequence[PairTable],
+    modalities: Sequence[str],
+    compared: Affinities,
+) -> dict[str, Any]:
+    """Measure several ways of scoring on the same pairs; write ``metrics.json`` and pictures.
+
+    Args:
+        folder: Where to; it is made if it is not there.
+        tables: One a sequence.
+        modalities: Names of the rows of evidence.
+        compared: What is compared, the first being what the others are measured against.
+
+    Returns:
+        For each of the compared: by modality what ``calibration_metrics`` gives, over the pairs on
+        which the modality has evidence; and ``f1``, precision and recall of each sequence solved.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    results: dict[str, Any] = {}
+    ratios: dict[str, dict[str, tuple[Tensor, Tensor]]] = {}
+    for name, (scores_of, fusion) in compared.items():
+        scored = [scores_of(table) for table in tables]
+        names = modalities if len(scored[0]) == len(modalities) else ["all"]
+        ratios[name] = ratios_by_modality(tables, scored, names)
+        results[name] = {
+            "modalities": {
+                key: calibration_metrics(*value) for key, value in ratios[name].items()
+            },
+            "sequences": [
+                solved(table, scores, names, fusion)
+                for table, scores in zip(tables, scored, strict=True)
+            ],
+        }
+        f1 = [row["f1"] for row in results[name]["sequences"]]
+        results[name]["f1"] = sum(f1) / len(f1)
+    text = json.dumps(results, indent=2)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    save(reliability_figure(ratios), folder / "reliability.png")
+    save(histograms_figure(ratios), folder / "histograms.png")
+    return results
+
+
+def ratios_by_modality(
+    tables: Sequence[PairTable], scored: Sequence[Tensor], names: Sequence[str]
+) -> dict[str, tuple[Tensor, Tensor]]:
+    """Log likelihood ratios and truth of the pairs on which a modality has evidence."""
+    found = {}
+    for k, name in enumerate(names):
+        known = [
+            table.evidence[k].isfinite()
+            if len(names) == len(table.evidence)
+            else torch.ones_like(table.same)
+            for table in tables
+        ]
+        score = torch.cat([s[k][kept] for s, kept in zip(scored, known, strict=True)])
+        same = torch.cat([t.same[kept] for t, kept in zip(tables, known, strict=True)])
+        if 0 < int(same.sum()) < len(same):
+            found[name] = torch.logit(score.double(), eps=1e-6), same
+    return found
+
+
+def solved(
+    table: PairTable, scores: Tensor, names: Sequence[str], fusion: Fusion | None
+) -> dict[str, float]:
+    """Precision, recall and F1 of the solved problem, over the observations that are in pairs."""
+    present = torch.zeros(len(table.observations), dtype=torch.bool)
+    present[table.pairs.flatten()] = True
+    place = present.cumsum(0) - 1
+    view = table.observations.view[present]
+    affinity = Affinity(place[table.pairs], scores, view, tuple(names))
+    metrics = evaluate(solve(affinity, None, fusion), table.observations["identity"][present], view)
+    return {key: metrics[key] for key in ("precision", "recall", "f1")}
+
+
+def summary(results: Mapping[str, Any]) -> str:
+    """A table of the results, for people."""
+    lines = ["| | modality | Cllr | min Cllr | ECE | Brier | AUC |", "|---|---|---|---|---|---|---|"]
+    for name, result in results.items():
+        for modality, row in result["modalities"].items():
+            cells = [f"{row[key]:.3f}" for key in ("cllr", "min_cllr", "ece", "brier", "auc")]
+            lines.append(f"| {name} | {modality} | " + " | ".join(cells) + " |")
+    lines += ["", "| | F1 after solving |", "|---|---|"]
+    lines += [f"| {name} | {result['f1']:.3f} |" for name, result in results.items()]
+    return "\n".join(lines)
