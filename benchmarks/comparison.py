@@ -75,7 +75,17 @@ SETTINGS = {
     "MIXER, as published": (mx.Mixer, [{"refine": False}]),
     "MIXER": (mx.Mixer, [{}]),
 }
-CHOSEN: dict[str, dict] = {}
+CHOSEN = {
+    "All-pairs": {"threshold": 0.6},
+    "Consecutive": {"threshold": 0.5},
+    "Hungarian": {"threshold": 0.5},
+    "Spectral": {"evidence": "attraction"},
+    "MatchEIG": {"evidence": "attraction"},
+    "MatchALS": {"evidence": "attraction"},
+    "MatchLift": {"evidence": "attraction", "sparsity": None},
+    "QuickMatch": {"bandwidth": 0.25, "ratio": 0.6},
+    "CLEAR": {"evidence": "attraction"},
+}
 
 
 def algorithms(names=None):
