@@ -63,7 +63,7 @@ def mix(value: np.uint64) -> np.uint64:
 
 
 @compiled
-def draw(state: np.ndarray, bound: int) -> int:
+def draw(state: np.ndarray, bound: int) -> np.int64:
     """A random integer in 0..bound-1; the state is (1,) uint64 and moves on by one step."""
     state[0] += _GOLDEN
     return np.int64(mix(state[0]) % np.uint64(bound))

@@ -62,9 +62,10 @@ def solve_discrete_batch(
         progress: Told the fraction that is done.
 
     Returns:
-        For each problem its labels (m,) int64 (each cluster named by its first member), on its device, and stats: ``greedy``, ``starts``
-        (a list), ``start`` (the best of each part together) and ``objective`` are costs; ``parts``
-        counts the components; ``timed_out``; ``seconds`` of the whole batch.
+        For each problem its labels (m,) int64 on its device, each cluster named by its first
+        member, and stats: ``greedy``, ``starts`` (a list), ``start`` (the best of each part
+        together) and ``objective`` are costs; ``parts`` counts the components; ``timed_out``;
+        ``seconds`` of the whole batch.
 
     Raises:
         ValueError: A start has the wrong shape or breaks a constraint.

@@ -24,7 +24,7 @@ class Exchange(NamedTuple):
         flip: (n,) what it would cost each unit to change sides.
         chain: (n,) the units in the order in which they changed.
         locked: (n,) whether the unit has changed.
-        index: (n,) position in ``node`` of each node of the graph.
+        position: (n,) place in ``node`` of each node of the graph.
     """
 
     node: np.ndarray
@@ -34,7 +34,7 @@ class Exchange(NamedTuple):
     flip: np.ndarray
     chain: np.ndarray
     locked: np.ndarray
-    index: np.ndarray
+    position: np.ndarray
 
 
 @compiled
@@ -133,7 +133,7 @@ def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
             scratch.node[count] = i
             scratch.side[count] = side
             scratch.gain[count] = state.total[other, i] - state.total[own, i]
-            scratch.index[i] = count
+            scratch.position[i] = count
             count += 1
             i = state.after[i]
     return count
@@ -157,9 +157,9 @@ def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def
             other = second if scratch.side[q] == 0 else first
             for e in range(state.token_start[i], state.token_start[i + 1]):
                 j = state.holder[other, state.token[e]]
-                if j >= 0 and scratch.unit[scratch.index[j]] < 0:
-                    scratch.unit[scratch.index[j]] = units
-                    scratch.chain[stack] = scratch.index[j]
+                if j >= 0 and scratch.unit[scratch.position[j]] < 0:
+                    scratch.unit[scratch.position[j]] = units
+                    scratch.chain[stack] = scratch.position[j]
                     stack += 1
         units += 1
     return units

@@ -55,22 +55,10 @@ def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-un
     """Joins in the order of a heap of (cost, cell); entries that are out of date are skipped."""
     n = len(start) - 1
     cells = _cells(start, neighbour, cost)
-    held, next_held = token_start[:n].copy(), np.arange(1, len(token) + 1)
-    for a in range(n):
-        if token_start[a] == token_start[a + 1]:
-            held[a] = -1
-        else:
-            next_held[token_start[a + 1] - 1] = -1
+    held, next_held = _token_chains(token_start, len(token))
     parent = np.arange(n)
     key, entry = np.empty(len(cost) + 1), np.empty(len(cost) + 1, np.int32)
-    size = 0
-    for a in range(n):
-        for e in range(start[a], start[a + 1]):
-            if a < neighbour[e] and cost[e] < 0:
-                key[size], entry[size] = cost[e], e
-                size += 1
-    for i in range(size // 2 - 1, -1, -1):
-        _sift_down(key, entry, size, i)
+    size = _fill_heap(start, neighbour, cost, key, entry)
     while size > 0:
         value, cell = key[0], entry[0]
         size -= 1
@@ -87,6 +75,33 @@ def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-un
         held[a] = _union(held[a], held[b], next_held, token)
         size = _join(cells, a, b, key, entry, size)
     return _named(parent)
+
+
+@compiled
+def _token_chains(token_start, count):  # type: ignore[no-untyped-def]
+    """Each node's tokens as a linked list: its first, and the next of each; -1 ends a list."""
+    n = len(token_start) - 1
+    held, next_held = token_start[:n].copy(), np.arange(1, count + 1)
+    for a in range(n):
+        if token_start[a] == token_start[a + 1]:
+            held[a] = -1
+        else:
+            next_held[token_start[a + 1] - 1] = -1
+    return held, next_held
+
+
+@compiled
+def _fill_heap(start, neighbour, cost, key, entry):  # type: ignore[no-untyped-def]
+    """All negative costs as a heap, one entry an edge; returns its size."""
+    size = 0
+    for a in range(len(start) - 1):
+        for e in range(start[a], start[a + 1]):
+            if a < neighbour[e] and cost[e] < 0:
+                key[size], entry[size] = cost[e], e
+                size += 1
+    for i in range(size // 2 - 1, -1, -1):
+        _sift_down(key, entry, size, i)
+    return size
 
 
 @compiled

@@ -110,7 +110,7 @@ def rematch(state, carrier_start, carrier, since, tiny):  # type: ignore[no-unty
 
 @compiled
 def _conflict(state, nodes, since, tiny):  # type: ignore[no-untyped-def]
-    """Whether a node would rather be in a changed slot, or left one: else matching gains nothing."""
+    """Whether a node would rather be elsewhere, and either slot changed: else nothing is gained."""
     for i in nodes:
         own = state.label[i]
         stay = state.total[own, i] - tiny

@@ -11,6 +11,7 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.region import carriers_of, named, search_region
+from mixer_torch.solvers.search import PRECISION
 
 REGION = 96  # nodes that are free to move in one region
 SWEEPS = 50  # most sweeps over all nodes in one go
@@ -112,46 +113,50 @@ def _sweep(graph, carrier, names, sweeps):  # type: ignore[no-untyped-def]
 
     A node is looked at again only if a neighbour, or a carrier of one of its tokens, has moved.
     """
-    start, neighbour, cost, _, _ = graph
-    n = len(start) - 1
-    total = np.zeros(n)
-    touched = np.empty(n, np.int64)
-    seen = np.zeros(n, np.bool_)
-    wake = np.ones(n, np.bool_)
+    n = len(names.label)
+    total, seen = np.zeros(n), np.zeros(n, np.bool_)
+    touched, wake = np.empty(n, np.int64), np.ones(n, np.bool_)
     tiny = 0.0
-    for value in cost:
-        tiny = max(tiny, 1e-11 * abs(value))
+    for value in graph[2]:
+        tiny = max(tiny, PRECISION * abs(value))
     for _ in range(sweeps):
         moved = 0
         for i in range(n):
-            if not wake[i]:
-                continue
-            wake[i] = False
-            own, count = names.label[i], 0
-            for e in range(start[i], start[i + 1]):
-                c = names.label[neighbour[e]]
-                if not seen[c]:
-                    seen[c] = True
-                    touched[count] = c
-                    count += 1
-                total[c] += cost[e]
-            best, target = total[own] - tiny, -1
-            if best > 0 and names.size[own] > 1:
-                best, target = 0.0, names.unused[names.count[0] - 1]
-            for p in range(count):
-                c = touched[p]
-                if c != own and total[c] < best and _is_open(graph, carrier, names, i, c):
-                    best, target = total[c], c
-            for p in range(count):
-                total[touched[p]] = 0.0
-                seen[touched[p]] = False
-            if target >= 0:
-                _rename(names, i, target)
-                moved += 1
-                _wake(graph, carrier, wake, i)
+            if wake[i]:
+                wake[i] = False
+                target = _best_label(graph, carrier, names, i, tiny, total, touched, seen)
+                if target >= 0:
+                    _rename(names, i, target)
+                    _wake(graph, carrier, wake, i)
+                    moved += 1
         if moved == 0:
             break
     return names.label
+
+
+@compiled
+def _best_label(graph, carrier, names, i, tiny, total, touched, seen):  # type: ignore[no-untyped-def]
+    """Where node i costs least, -1 for where it is; the scratch is left as it was found."""
+    start, neighbour, cost, _, _ = graph
+    own, count = names.label[i], 0
+    for e in range(start[i], start[i + 1]):
+        c = names.label[neighbour[e]]
+        if not seen[c]:
+            seen[c] = True
+            touched[count] = c
+            count += 1
+        total[c] += cost[e]
+    best, target = total[own] - tiny, -1
+    if best > 0 and names.size[own] > 1:
+        best, target = 0.0, names.unused[names.height[0] - 1]
+    for p in range(count):
+        c = touched[p]
+        if c != own and total[c] < best and _is_open(graph, carrier, names, i, c):
+            best, target = total[c], c
+    for p in range(count):
+        total[touched[p]] = 0.0
+        seen[touched[p]] = False
+    return target
 
 
 @compiled
@@ -179,10 +184,10 @@ def _is_open(graph, carrier, names, i, c):  # type: ignore[no-untyped-def]
 def _rename(names, i, target):  # type: ignore[no-untyped-def]
     own = names.label[i]
     if names.size[target] == 0:
-        names.count[0] -= 1
+        names.height[0] -= 1
     names.size[own] -= 1
     names.size[target] += 1
     names.label[i] = target
     if names.size[own] == 0:
-        names.unused[names.count[0]] = own
-        names.count[0] += 1
+        names.unused[names.height[0]] = own
+        names.height[0] += 1

@@ -18,8 +18,8 @@ class Names(NamedTuple):
         label: (n,) int64 in 0..n-1.
         size: (n,) nodes of each label.
         unused: (n,) stack of the labels that no node has.
-        count: (1,) height of the stack.
-        index: (n,) scratch, -1 everywhere between searches: local number of a node,
+        height: (1,) of the stack.
+        local: (n,) scratch, -1 everywhere between searches: local number of a node,
         remainder: (n,) of the nodes of a label that stay together,
         renumbered: (T,) and of a token.
     """
@@ -27,8 +27,8 @@ class Names(NamedTuple):
     label: np.ndarray
     size: np.ndarray
     unused: np.ndarray
-    count: np.ndarray
-    index: np.ndarray
+    height: np.ndarray
+    local: np.ndarray
     remainder: np.ndarray
     renumbered: np.ndarray
 
@@ -95,14 +95,14 @@ def _cut_out(graph, carrier, names, nodes):  # type: ignore[no-untyped-def]
     start, neighbour, cost, token_start, token = graph
     free = len(nodes)
     for i in range(free):
-        names.index[nodes[i]] = i
+        names.local[nodes[i]] = i
         names.size[names.label[nodes[i]]] -= 1
     kept = _remainders(start, neighbour, cost, names, nodes)
     k = free + len(kept)
     weight = np.zeros((k, k))
     for i in range(free):
         for e in range(start[nodes[i]], start[nodes[i] + 1]):
-            j = names.index[neighbour[e]]
+            j = names.local[neighbour[e]]
             if j < 0 and names.remainder[names.label[neighbour[e]]] >= 0:
                 j = free + names.remainder[names.label[neighbour[e]]]
                 weight[j, i] += cost[e]
@@ -130,11 +130,11 @@ def _local_labels(names, nodes, kept):  # type: ignore[no-untyped-def]
             fresh += 1
         r = names.remainder[c]
         local[i] = free + r if r < kept else r - kept
-        names.index[nodes[i]] = -1
+        names.local[nodes[i]] = -1
     for p in range(fresh):
         names.remainder[emptied[p]] = -1
-        names.unused[names.count[0]] = emptied[p]
-        names.count[0] += 1
+        names.unused[names.height[0]] = emptied[p]
+        names.height[0] += 1
     return local
 
 
@@ -147,8 +147,8 @@ def _put_back(names, nodes, kept, local):  # type: ignore[no-untyped-def]
     for i in range(free):
         c = local[i]
         if name[c] < 0:
-            names.count[0] -= 1
-            name[c] = names.unused[names.count[0]]
+            names.height[0] -= 1
+            name[c] = names.unused[names.height[0]]
         names.label[nodes[i]] = name[c]
         names.size[name[c]] += 1
 
@@ -160,7 +160,7 @@ def _remainders(start, neighbour, cost, names, nodes):  # type: ignore[no-untype
     for a in nodes:
         found, count = _note(names, names.label[a], found, count)
         for e in range(start[a], start[a + 1]):
-            if cost[e] < 0 and names.index[neighbour[e]] < 0:
+            if cost[e] < 0 and names.local[neighbour[e]] < 0:
                 found, count = _note(names, names.label[neighbour[e]], found, count)
     return found[:count]
 
@@ -182,48 +182,62 @@ def _tokens(token_start, token, carrier, names, nodes, kept):  # type: ignore[no
 
     All remainders carry one more token, so that no two of them join.
     """
-    carrier_start, carrier_node = carrier
-    free, total, used = len(nodes), 0, 0
+    free = len(nodes)
+    local, used = _renumber(token_start, token, names, nodes)
+    start = np.ones(free + kept + 1, np.int64)
+    start[0] = 0
     for i in range(free):
-        total += token_start[nodes[i] + 1] - token_start[nodes[i]]
-    local = np.empty(total, np.int64)
+        start[i + 1] = token_start[nodes[i] + 1] - token_start[nodes[i]]
+    holder, held, count = _held(carrier, names, local[: used if kept > 0 else 0])
+    for p in range(count):
+        start[free + holder[p] + 1] += 1
+    start = np.cumsum(start)
+    own, fill = np.empty(start[-1], np.int32), start[:-1].copy()
     for i in range(free):
         for e in range(token_start[nodes[i]], token_start[nodes[i] + 1]):
+            own[fill[i]] = names.renumbered[token[e]]
+            fill[i] += 1
+    for p in range(count):
+        own[fill[free + holder[p]]] = held[p]
+        fill[free + holder[p]] += 1
+    for r in range(free, free + kept):
+        own[fill[r]] = used
+    for t in range(used):
+        names.renumbered[local[t]] = -1
+    return start, own
+
+
+@compiled
+def _held(carrier, names, tokens):  # type: ignore[no-untyped-def]
+    """Which remainder holds which of the tokens: two lists and their length."""
+    start, node = carrier
+    holder, held, count = np.empty(16, np.int64), np.empty(16, np.int64), 0
+    for t in range(len(tokens)):
+        for e in range(start[tokens[t]], start[tokens[t] + 1]):
+            r = names.remainder[names.label[node[e]]]
+            if r >= 0 and names.local[node[e]] < 0:
+                if count == len(held):
+                    holder = np.concatenate((holder, np.empty(count, np.int64)))
+                    held = np.concatenate((held, np.empty(count, np.int64)))
+                holder[count], held[count] = r, t
+                count += 1
+    return holder, held, count
+
+
+@compiled
+def _renumber(token_start, token, names, nodes):  # type: ignore[no-untyped-def]
+    """Number the tokens of the nodes from 0; returns them in that order, and how many there are."""
+    total = 0
+    for a in nodes:
+        total += token_start[a + 1] - token_start[a]
+    local, used = np.empty(total, np.int64), 0
+    for a in nodes:
+        for e in range(token_start[a], token_start[a + 1]):
             if names.renumbered[token[e]] < 0:
                 names.renumbered[token[e]] = used
                 local[used] = token[e]
                 used += 1
-    count = np.zeros(free + kept + 1, np.int64)
-    for step in range(2):
-        if step == 1:
-            own_start = np.cumsum(count)
-            fill = own_start[:-1].copy()
-            own = np.empty(own_start[-1], np.int32)
-        for i in range(free):
-            for e in range(token_start[nodes[i]], token_start[nodes[i] + 1]):
-                if step == 0:
-                    count[i + 1] += 1
-                else:
-                    own[fill[i]] = names.renumbered[token[e]]
-                    fill[i] += 1
-        for t in range(used if kept > 0 else 0):
-            for e in range(carrier_start[local[t]], carrier_start[local[t] + 1]):
-                j = carrier_node[e]
-                r = names.remainder[names.label[j]] if names.index[j] < 0 else -1
-                if r >= 0:
-                    if step == 0:
-                        count[free + r + 1] += 1
-                    else:
-                        own[fill[free + r]] = t
-                        fill[free + r] += 1
-        for r in range(kept):
-            if step == 0:
-                count[free + r + 1] += 1
-            else:
-                own[fill[free + r]] = used
-    for t in range(used):
-        names.renumbered[local[t]] = -1
-    return own_start, own
+    return local, used
 
 
 @compiled

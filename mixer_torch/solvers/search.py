@@ -9,7 +9,7 @@ from mixer_torch.solvers.compiled import compiled, draw, shuffle
 from mixer_torch.solvers.exchange import exchange_all, exchange_scratch
 from mixer_torch.solvers.matching import rematch
 
-_PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
+PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
 _CLUSTERS = 16  # most clusters that a disturbance takes apart
 _REGION = 64  # nodes after which a disturbance takes no further cluster
 _TRIALS = 4  # clusters that are drawn when the next one is chosen
@@ -32,7 +32,7 @@ def search(weight, token_start, token, label, patience, limit, failed, random): 
     Returns:
         How many disturbances in a row brought nothing at the end.
     """
-    tiny = _PRECISION * np.abs(weight).max()
+    tiny = PRECISION * np.abs(weight).max()
     carrier_start, carrier = carriers(token_start, token)
     state = build(weight, token_start, token, label)
     scratch = exchange_scratch(len(label))
@@ -124,10 +124,10 @@ def _draw_region(state, region, random):  # type: ignore[no-untyped-def]
 
 @compiled
 def _contains(state, region, count, slot):  # type: ignore[no-untyped-def]
+    found = False
     for q in range(count):
-        if state.label[region[q]] == slot:
-            return True
-    return False
+        found = found or state.label[region[q]] == slot
+    return found
 
 
 @compiled

@@ -69,7 +69,7 @@ def test_regions_leave_the_rest_together(seed: int) -> None:
         cost = now
         size = np.bincount(names.label, minlength=len(graph))
         assert (names.size == size).all()
-        unused = names.unused[: names.count[0]]
+        unused = names.unused[: names.height[0]]
         assert sorted(unused.tolist()) == np.flatnonzero(size == 0).tolist()
 
 
