@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mixer_torch.solvers.cuts import separate
+from mixer_torch.solvers.dual_ascent import ascend
 from mixer_torch.solvers.graph import Graph, compact
 from mixer_torch.solvers.pair_program import Optimum, PairProgram
 from mixer_torch.solvers.refinement import refine
@@ -20,6 +21,8 @@ DECIDED = 1e-6
 PROVEN = 1e-8  # of the largest cost: what is not better by more is not better
 ROUNDS = 6  # over which a round of cuts has to close a part of the gap, or the node is branched
 WORTH = 0.1
+ASCENT = 0.2  # of the time at most goes into dual ascent
+LARGEST = 400  # nodes that a linear program is tried on; beyond, dual ascent has all the time
 
 
 class Proof(NamedTuple):
@@ -62,15 +65,15 @@ class BranchAndCut:
         self.program = PairProgram(cost / self.scale, self.apart)
         self.labels, self.objective = compact(labels), graph.objective(labels) / self.scale
         self.nodes = self.cuts = self._serial = 0
+        self._cost = cost / self.scale
 
     def run(self) -> Proof:
         """Search until nothing is left that could be better, or time runs out."""
-        cost = self.program.cost
-        free = np.zeros(len(cost), bool)
-        waiting = [_Node(float(np.minimum(cost, 0).sum()), 0, free, free)]
+        root = self._root()
+        waiting = [root]
         closed = np.inf
         while waiting and time.perf_counter() < self.deadline:
-            if self._is_beaten(waiting[0].bound):
+            if len(self.graph) > LARGEST or self._is_beaten(waiting[0].bound):
                 break
             node = heapq.heappop(waiting)
             self.nodes += 1
@@ -82,6 +85,20 @@ class BranchAndCut:
         proven = self._is_beaten(bound)
         bound = min(bound * self.scale, self.graph.objective(self.labels))
         return Proof(self.labels, bound, proven, self.nodes, self.cuts)
+
+    def _root(self) -> _Node:
+        """Nothing decided but what dual ascent decides, which is fast; its cuts are kept."""
+        free = np.zeros(len(self.program.cost), bool)
+        now = time.perf_counter()
+        part = 1.0 if len(self.graph) > LARGEST else ASCENT
+        deadline = now + part * (self.deadline - now)
+        ascent = ascend(self._cost, self.apart, deadline, self._cutoff())
+        node = _Node(ascent.bound, 0, free, free)
+        reduced = ascent.reduced[self.program.first, self.program.second]
+        self._fix(node, ascent.bound, reduced)
+        self.program.add(ascent.cuts)
+        self.cuts += len(ascent.cuts)
+        return node
 
     def _explore(self, node: _Node) -> tuple[list[_Node], float]:
         """The children of a node and inf, or none and the bound at which the node is closed."""
@@ -111,7 +128,7 @@ class BranchAndCut:
             if not len(cuts):
                 self._improve(x)
                 return optimum, whole
-            self._fix(node, optimum)
+            self._fix(node, optimum.bound, optimum.reduced)
             gap = self.objective - optimum.bound
             if len(bounds) > ROUNDS and not whole:
                 gained = optimum.bound - bounds[-1 - ROUNDS]
@@ -123,14 +140,14 @@ class BranchAndCut:
             self.program.add(cuts)
             self.cuts += len(cuts)
 
-    def _fix(self, node: _Node, optimum: Optimum) -> None:
+    def _fix(self, node: _Node, bound: float, reduced: np.ndarray) -> None:
         """Decide pairs whose other value could not lead to a better clustering.
 
         A clustering that departs from the reduced cost's sign at a pair costs bound + |reduced|.
         """
-        room = self._cutoff() - optimum.bound
-        node.apart = node.apart | ((optimum.reduced > room) & ~node.together)
-        node.together = node.together | ((-optimum.reduced > room) & ~node.apart)
+        room = self._cutoff() - bound
+        node.apart = node.apart | ((reduced > room) & ~node.together)
+        node.together = node.together | ((-reduced > room) & ~node.apart)
 
     def _propagate(self, node: _Node) -> bool:
         """What the decided pairs imply for others; False where they contradict one another."""

@@ -8,8 +8,6 @@ import numpy as np
 
 from mixer_torch.solvers.compiled import compiled, mix
 
-STARTS = 8  # greedy attempts a centre and round
-
 
 class Cuts(NamedTuple):
     """2-partition inequalities with one node on one side (Grötschel and Wakabayashi, 1990).
@@ -36,16 +34,35 @@ class Cuts(NamedTuple):
     def __len__(self) -> int:
         return len(self.centre)
 
+    @classmethod
+    def none(cls) -> Cuts:
+        """No cuts."""
+        integers = np.zeros(0, np.int64)
+        return cls(np.zeros(0), integers, np.zeros(1, np.int64), integers)
+
+    def joined(self, other: Cuts) -> Cuts:
+        """These, then others."""
+        return Cuts(
+            np.concatenate([self.violation, other.violation]),
+            np.concatenate([self.centre, other.centre]),
+            np.concatenate([self.start, other.start[1:] + self.start[-1]]),
+            np.concatenate([self.member, other.member]),
+        )
+
     def largest(self, count: int) -> Cuts:
         """The ones that are broken most."""
-        chosen = np.argsort(-self.violation, kind="stable")[:count]
+        return self.select(np.argsort(-self.violation, kind="stable")[:count])
+
+    def select(self, chosen: np.ndarray) -> Cuts:
+        """Some of them: indices, or a mask."""
+        chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
         size = np.diff(self.start)[chosen]
         start = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
         place = np.arange(start[-1]) + np.repeat(self.start[:-1][chosen] - start[:-1], size)
         return Cuts(self.violation[chosen], self.centre[chosen], start, self.member[place])
 
 
-def separate(x: np.ndarray, tolerance: float, limit: int) -> Cuts:
+def separate(x: np.ndarray, tolerance: float, limit: int, starts: int = 8) -> Cuts:
     """Inequalities that x breaks, the worst ones first.
 
     All triangles are looked at, so none is broken where none comes back; of the larger ones some.
@@ -54,15 +71,10 @@ def separate(x: np.ndarray, tolerance: float, limit: int) -> Cuts:
         x: (n, n) symmetric, in [0, 1], 0 on the diagonal.
         tolerance: Smallest violation that counts.
         limit: How many triangles, and how many larger ones, come back at most.
+        starts: Greedy attempts at each centre.
     """
-    larger = Cuts(*_partitions(x, tolerance)).largest(limit)
-    triangles = Cuts(*_triangles(x, tolerance)).largest(limit)
-    return Cuts(
-        np.concatenate([larger.violation, triangles.violation]),
-        np.concatenate([larger.centre, triangles.centre]),
-        np.concatenate([larger.start, triangles.start[1:] + larger.start[-1]]),
-        np.concatenate([larger.member, triangles.member]),
-    )
+    larger = Cuts(*_partitions(x, tolerance, starts)).largest(limit)
+    return larger.joined(Cuts(*_triangles(x, tolerance)).largest(limit))
 
 
 @compiled
@@ -96,19 +108,19 @@ def _triangles(x, tolerance):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _partitions(x, tolerance):  # type: ignore[no-untyped-def]
+def _partitions(x, tolerance, starts):  # type: ignore[no-untyped-def]
     """Broken inequalities with three nodes or more in T, grown greedily from several starts."""
     n = len(x)
-    violation, centre = np.empty(n * STARTS), np.empty(n * STARTS, np.int64)
-    start = np.zeros(n * STARTS + 1, np.int64)
-    member = np.empty(n * STARTS * 4, np.int64)
-    seen = np.empty(STARTS, np.uint64)
+    violation, centre = np.empty(n * starts), np.empty(n * starts, np.int64)
+    start = np.zeros(n * starts + 1, np.int64)
+    member = np.empty(n * starts * 4, np.int64)
+    seen = np.empty(starts, np.uint64)
     gain = np.empty(n)
     found = 0
     for b in range(n):
         order = np.argsort(-x[b])
         distinct = 0
-        for s in range(min(STARTS, n)):
+        for s in range(min(starts, n)):
             if x[b, order[s]] <= tolerance:
                 break
             end, total, name = start[found], 0.0, np.uint64(0)

@@ -11,7 +11,8 @@ from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.branching import BranchAndCut
 from mixer_torch.solvers.decomposition import cut_along, decompose
-from mixer_torch.solvers.graph import Graph, compact
+from mixer_torch.solvers.graph import compact
+from mixer_torch.solvers.parts import graph_of, induced
 
 
 class Exact(Solver):
@@ -45,12 +46,7 @@ class Exact(Solver):
 
     def run(self, problem: Problem) -> Solution:
         deadline = time.perf_counter() + self.time_limit
-        graph = Graph.from_arrays(
-            len(problem),
-            problem.pairs.cpu().numpy(),
-            problem.cost.detach().cpu().double().numpy(),
-            problem.incidence.cpu().numpy(),
-        )
+        graph = graph_of(problem)
         parts = decompose(graph)
         labels = cut_along(self._warm_start(problem), parts)
         begin = graph.objective(labels)
@@ -85,27 +81,3 @@ class Exact(Solver):
             return alone
         labels = start.run(problem).labels
         return alone if labels is None else labels.cpu().numpy()
-
-
-def induced(graph: Graph, members: np.ndarray) -> Graph:
-    """The part of a graph that lies between some of its nodes, which are renumbered 0.. in order."""
-    place = np.full(len(graph), -1)
-    place[members] = np.arange(len(members))
-    edge, owner = _entries(graph.start, members)
-    near, far = owner, place[graph.neighbour[edge]]
-    once = near < far
-    entry, node = _entries(graph.token_start, members)
-    return Graph.from_arrays(
-        len(members),
-        np.stack([near[once], far[once]]),
-        graph.cost[edge[once]],
-        np.stack([node, graph.token[entry]]),
-    )
-
-
-def _entries(start: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The entries of some rows of a compressed matrix, and whose of the rows each one is."""
-    size = start[rows + 1] - start[rows]
-    owner = np.repeat(np.arange(len(rows)), size)
-    offset = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    return start[rows][owner] + offset, owner
