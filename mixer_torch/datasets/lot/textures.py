@@ -10,7 +10,6 @@ import numpy as np
 
 CUT, MATTE, PAINT, GLASS, CHROME = 0, 60, 120, 180, 240
 LEVELS = 4
-Metres = float | int
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,8 @@ class Canvas:
     """A texture to draw on in metres, with the origin at the lower left.
 
     Args:
-        width: Metres.
-        height: Metres.
+        width: float.
+        height: float.
         colour: RGB of the blank canvas.
         material: Its material.
         density: Pixels a metre.
@@ -62,11 +61,11 @@ class Canvas:
 
     def __init__(
         self,
-        width: Metres,
-        height: Metres,
+        width: float,
+        height: float,
         colour: Any,
         material: int = PAINT,
-        density: Metres = 110,
+        density: float = 110,
     ) -> None:
         self.density = density
         self.size = (width, height)
@@ -90,13 +89,13 @@ class Canvas:
             cv2.fillPoly(self.material, [corners], material, cv2.LINE_8, 3)
 
     def rectangle(
-        self, x: Metres, y: Metres, width: Metres, height: Metres, colour: Any, material: Any = None
+        self, x: float, y: float, width: float, height: float, colour: Any, material: Any = None
     ) -> None:
         """Fill a rectangle by its lower left corner and its size."""
         corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
         self.polygon(corners, colour, material)
 
-    def line(self, points: Any, colour: Any, width: Metres) -> None:
+    def line(self, points: Any, colour: Any, width: float) -> None:
         """Draw an open chain of segments."""
         import cv2
 
@@ -105,7 +104,7 @@ class Canvas:
         cv2.polylines(self.rgb, [path], False, _tuple(colour), thick, cv2.LINE_AA, 3)
 
     def ellipse(
-        self, x: Metres, y: Metres, rx: Metres, ry: Metres, colour: Any, material: Any = None
+        self, x: float, y: float, rx: float, ry: float, colour: Any, material: Any = None
     ) -> None:
         """Fill an axis-parallel ellipse by its middle and its half axes."""
         import cv2
@@ -117,7 +116,7 @@ class Canvas:
         if material is not None:
             cv2.ellipse(self.material, *shape, material, -1, cv2.LINE_8, 3)
 
-    def text(self, x: Metres, y: Metres, words: str, height: Metres, colour: Any) -> None:
+    def text(self, x: float, y: float, words: str, height: float, colour: Any) -> None:
         """Write from a baseline's left end; capital letters have the height."""
         import cv2
 
@@ -127,7 +126,7 @@ class Canvas:
         font = cv2.FONT_HERSHEY_SIMPLEX
         cv2.putText(self.rgb, words, origin, font, scale, _tuple(colour), thick, cv2.LINE_AA)
 
-    def mottle(self, generator: np.random.Generator, cell: Metres, strength: Metres) -> None:
+    def mottle(self, generator: np.random.Generator, cell: float, strength: float) -> None:
         """Multiply by smooth noise of a cell size: dirt, wear, uneven colour."""
         factor = 1.0 + strength * blotches(generator, self.rgb.shape[:2], cell * self.density)
         self.rgb[:] = np.clip(self.rgb * factor[..., None], 0, 255)
