@@ -74,7 +74,7 @@ class Association:
 
     @property
     def gap(self) -> float | None:
-        """(objective - lower_bound) / |objective|: 0 if proven optimal, None if nothing is proven."""
+        """(objective - lower_bound) / |objective|: 0 is optimal; None where nothing is proven."""
         if self.lower_bound is None:
             return None
         distance = max(self.objective - self.lower_bound, 0.0)

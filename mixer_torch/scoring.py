@@ -90,7 +90,6 @@ class Scorer(nn.Module):
         """Raw evidence (P,) of pairs (2, P): NaN where there is nothing to say."""
         raise NotImplementedError(f"{type(self).__name__} must define compare")
 
-    @final
     def forward(self, observations: Observations, pairs: Tensor) -> Tensor:
         """Scores (P,) in [0, 1] of the pairs (2, P), on the device of the observations.
 
@@ -212,7 +211,7 @@ class FunctionScorer(Scorer):
         super().__init__(calibrator)
         self.fn = fn
         self.needs = (needs,) if isinstance(needs, str) else tuple(needs)
-        self._name = name or getattr(fn, "__name__", type(fn).__name__)
+        self._name: str = name or getattr(fn, "__name__", type(fn).__name__)
         if not self.needs or "images" in self.needs:
             raise ValueError(f"needs: expected one or more feature keys, got {self.needs}")
 
