@@ -17,8 +17,7 @@ from torch import Tensor
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.batch import Batch, buckets
-from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
-from mixer_torch.solvers.discrete import part_costs
+from mixer_torch.solvers.decomposition import Parts, cut_along, decompose, part_costs
 from mixer_torch.solvers.gradient import GradientStage, Relaxed
 from mixer_torch.solvers.graph import Graph, compact
 from mixer_torch.solvers.greedy import greedy
@@ -185,7 +184,7 @@ def solve_side_by_side(
     stage: GradientStage,
     restarts: int,
     seed: int,
-    time_limit: float | None,
+    clock: Clock,
     progress: Callable[[float], None],
 ) -> list[Solution]:
     """Problems of one dtype on one device: two starts for each part, restarts from the better.
@@ -193,7 +192,6 @@ def solve_side_by_side(
     One start is greedy contraction, the other is the gradient stage's answer. The result of each
     part is never worse than either.
     """
-    clock = Clock(time_limit)
     joint = Joint.of(problems)
     contracted = cut_along(greedy(joint.graph), joint.parts)
     found = joint.relax(stage, contracted, clock, lambda part: progress(0.3 * part))
@@ -202,6 +200,7 @@ def solve_side_by_side(
     label, timed_out = joint.refine(
         label, restarts, seed, clock.left(), lambda part: progress(0.3 + 0.7 * part)
     )
+    progress(1.0)
     stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
     home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
     value = {
@@ -230,7 +229,7 @@ def _histories(joint: Joint, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
     size = np.diff(joint.parts.start)
     home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
     stats: list[dict[str, Any]] = [
-        {"iterations": 0, "binary_without_rounding": True, "penalty": 0.0, "parts": 0}
+        {"iterations": 0, "binary_without_rounding": True, "penalty": 0.0, "parts": 0, "relaxed": 0}
         for _ in range(len(joint.start) - 1)
     ]
     histories: list[list[np.ndarray]] = [[] for _ in stats]
@@ -239,6 +238,7 @@ def _histories(joint: Joint, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
         own["parts"] += 1
         if part in found:
             relaxed = found[part]
+            own["relaxed"] += 1
             own["iterations"] = max(own["iterations"], relaxed.iterations)
             own["binary_without_rounding"] &= relaxed.binary
             own["penalty"] = max(own["penalty"], relaxed.penalty)

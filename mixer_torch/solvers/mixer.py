@@ -22,6 +22,18 @@ Precision = Literal["float32", "tf32", "bfloat16"]
 class Mixer(Solver):
     """Multimodal, multiway association by the continuous relaxation of the paper.
 
+    The gradient stage minimises the relaxed problem (:mod:`mixer_torch.solvers.relaxation`) until
+    it is binary and feasible; where steps run out first, the nearest feasible labels are taken and
+    the status says so. With refinement, each part of the problem that can be solved apart, and is
+    not too large for dense matrices, goes through it, and the better of its answer and of greedy
+    contraction is refined by discrete moves and perturbed restarts; the result is never worse than
+    either. ``Mixer(refine=False)`` is the algorithm of the paper, on the problem as a whole.
+
+    ``stats`` tells ``binary_without_rounding``, ``iterations``, the last ``penalty`` and the
+    ``history`` of the relaxed objective; with refinement also the number of ``parts``, how many
+    were ``relaxed``, and the objective of each stage: ``objective_greedy``, ``objective_gradient``
+    and ``objective_refined``.
+
     Args:
         max_iterations: Steps of the gradient stage at most. Annealing takes 100, and is followed by
             the paper's schedule only where its result is not binary.
@@ -81,41 +93,50 @@ class Mixer(Solver):
         groups: dict[tuple[torch.dtype, torch.device], list[int]] = {}
         for i, problem in enumerate(problems):
             groups.setdefault((problem.cost.dtype, problem.cost.device), []).append(i)
+        clock = Clock(self.time_limit)
         answers: dict[int, Solution] = {}
         for group in groups.values():
             chosen = [problems[i] for i in group]
+            tell = self._teller(len(answers), len(group), len(problems))
             if self.refine:
                 solutions = solve_side_by_side(
-                    chosen, self.gradient, self.restarts, self.seed, self.time_limit, self._tell
+                    chosen, self.gradient, self.restarts, self.seed, clock, tell
                 )
             else:
-                solutions = self._relaxed(chosen)
+                solutions = self._relaxed(chosen, clock, tell)
             answers.update(zip(group, solutions, strict=True))
         return [answers[i] for i in range(len(problems))]
 
-    def _relaxed(self, problems: list[Problem]) -> list[Solution]:
+    def _relaxed(
+        self, problems: list[Problem], clock: Clock, tell: Callable[[float], None]
+    ) -> list[Solution]:
         """The gradient stage alone, on each problem as a whole."""
         answers: dict[int, Relaxed] = {}
-        clock = Clock(self.time_limit)
         for bucket in buckets([len(problem) for problem in problems]):
             if clock.is_over():
                 break
             batch = Batch.of([problems[i] for i in bucket])
             relaxed = self.gradient.run(batch, batch.mask.shape[1])
             answers.update(zip(bucket, relaxed, strict=True))
-            self._tell(len(answers) / len(problems))
+            tell(len(answers) / len(problems))
         return [_solution(problems[i], answers.get(i)) for i in range(len(problems))]
 
-    def _tell(self, fraction: float) -> None:
-        if self.progress is not None:
-            self.progress(fraction)
+    def _teller(self, done: int, now: int, total: int) -> Callable[[float], None]:
+        """What to tell of the progress of some of the problems, as a fraction of all of them."""
+
+        def tell(fraction: float) -> None:
+            if self.progress is not None:
+                self.progress((done + fraction * now) / total)
+
+        return tell
 
 
 def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
     """The answer of the gradient stage; every observation alone where time ran out before."""
     if relaxed is None:
         labels = torch.arange(len(problem), device=problem.view.device)
-        return Solution(Status.TIME_LIMIT, labels, stats={"binary_without_rounding": False})
+        stats = {"iterations": 0, "history": [], "binary_without_rounding": False, "penalty": 0.0}
+        return Solution(Status.TIME_LIMIT, labels, stats=stats)
     stats = {
         "iterations": relaxed.iterations,
         "history": relaxed.history,
