@@ -68,3 +68,19 @@ def _components(start, neighbour, cost):  # type: ignore[no-untyped-def]
                     waiting += 1
         parts += 1
     return part
+
+
+def part_costs(graph: Graph, label: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
+    """(parts,) the cost inside clusters, part by part; each cluster lies within one."""
+    return _part_costs(graph.start, graph.neighbour, graph.cost, label, part, parts)
+
+
+@compiled
+def _part_costs(start, neighbour, cost, label, part, parts):  # type: ignore[no-untyped-def]
+    total = np.zeros(parts)
+    for a in range(len(start) - 1):
+        for e in range(start[a], start[a + 1]):
+            b = neighbour[e]
+            if a < b and label[a] == label[b]:
+                total[part[a]] += cost[e]
+    return total

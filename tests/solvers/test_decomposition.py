@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mixer_torch.solvers.decomposition import cut_along, decompose
+from mixer_torch.solvers.decomposition import cut_along, decompose, part_costs
 from mixer_torch.solvers.graph import Graph
 
 
@@ -38,6 +38,8 @@ def test_cutting_along_parts_never_costs_more(seed: int) -> None:
     parts = decompose(graph)
     cut = cut_along(label, parts)
     assert graph.objective(cut) <= graph.objective(label) + 1e-12
+    costs = part_costs(graph, cut, parts.part, len(parts))
+    assert np.isclose(costs.sum(), graph.objective(cut))
     for c in np.unique(cut):
         assert len(np.unique(label[cut == c])) == 1
         assert len(np.unique(parts.part[cut == c])) == 1

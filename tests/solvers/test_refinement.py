@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of
-from mixer_torch.solvers.discrete import solve_discrete, solve_discrete_batch
 from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
 
@@ -90,40 +90,35 @@ def test_bad_starts_are_refused() -> None:
 
 
 def test_no_time_still_gives_a_feasible_answer() -> None:
-    problem = random_problem(0, 200, 10)
-    labels, stats = solve_discrete(problem, time_limit=0.0, restarts=10**6)
+    graph = random_graph(0, 200, 10)
+    label, stats = refine(graph, greedy(graph), time_limit=0.0, restarts=10**6)
     assert stats["timed_out"]
-    assert is_distinct(labels, problem.view)
-    assert stats["objective"] <= stats["greedy"]
+    assert graph.is_feasible(label)
+    assert stats["objective"] <= stats["start"]
 
 
-def test_progress_ends_within_one() -> None:
+def test_progress_stays_within_one() -> None:
     told: list[float] = []
-    problem = random_problem(2, 300, 30)
-    solve_discrete(problem, restarts=1, progress=told.append)
-    assert all(0 <= fraction <= 1 for fraction in told)
+    graph = Graph.from_problems([random_problem(seed, 30, 5) for seed in range(800)])
+    refine(graph, restarts=1, progress=told.append)
+    assert told
+    assert told == sorted(told)
+    assert told[-1] <= 1
 
 
-def test_a_batch_answers_as_each_alone() -> None:
+def test_side_by_side_answers_as_each_alone() -> None:
     problems = [random_problem(seed, 5 + 4 * seed, 1 + seed) for seed in range(6)]
-    starts = [[torch.arange(len(p))] * (k % 3) for k, p in enumerate(problems)]
-    together = solve_discrete_batch(problems, starts, seed=5, restarts=20)
-    for problem, own, (labels, stats) in zip(problems, starts, together, strict=True):
-        alone, alone_stats = solve_discrete(problem, own, seed=5, restarts=20)
-        assert torch.equal(labels, alone)
-        assert np.isclose(stats["objective"], objective_of(problem, labels))
-        assert np.isclose(stats["objective"], alone_stats["objective"])
-        assert len(stats["starts"]) == len(own)
-        assert is_distinct(labels, problem.view)
-        assert stats["objective"] <= stats["start"] <= min([stats["greedy"], *stats["starts"]])
-
-
-def test_starts_are_checked() -> None:
-    problem = random_problem(0, 8, 2)
-    with pytest.raises(ValueError, match="starts: expected shape"):
-        solve_discrete(problem, [torch.zeros(3, dtype=torch.int64)])
-    with pytest.raises(ValueError, match="one view"):
-        solve_discrete(problem, [torch.zeros(8, dtype=torch.int64)])
+    key = np.concatenate([np.arange(len(problem)) for problem in problems])
+    together, _ = refine(Graph.from_problems(problems), seed=5, restarts=20, key=key)
+    offset = 0
+    for problem in problems:
+        alone, stats = refine(problem, seed=5, restarts=20)
+        own = together[offset : offset + len(problem)]
+        assert len({*zip(own.tolist(), alone.tolist(), strict=True)}) == len(set(alone.tolist()))
+        assert len(set(own.tolist())) == len(set(alone.tolist()))
+        assert np.isclose(stats["objective"], objective_of(problem, torch.from_numpy(alone)))
+        assert is_distinct(torch.from_numpy(alone), problem.view)
+        offset += len(problem)
 
 
 @settings(max_examples=40, deadline=None)
@@ -153,11 +148,13 @@ def test_any_problem_ends_feasible(
     }[costs]
     cost = torch.from_numpy(value).to(dtype)
     problem = Problem(pairs, cost, view, (1 - cost) / 2)
-    labels, stats = solve_discrete(problem, restarts=5, seed=seed)
-    again, _ = solve_discrete(problem, restarts=5, seed=seed)
+    start = greedy(Graph.from_problem(problem))
+    label, stats = refine(problem, start, restarts=5, seed=seed)
+    again, _ = refine(problem, start, restarts=5, seed=seed)
+    labels = torch.from_numpy(label)
     assert labels.shape == (m,)
-    assert torch.equal(labels, again)
+    assert (label == again).all()
     assert is_distinct(labels, view)
-    assert stats["objective"] <= min(stats["greedy"], 0.0)
+    assert stats["objective"] <= stats["start"] <= 0
     scale = float(cost.abs().sum()) if count else 0.0
     assert abs(stats["objective"] - objective_of(problem, labels)) <= 1e-9 * scale
