@@ -211,7 +211,7 @@ class FunctionScorer(Scorer):
         super().__init__(calibrator)
         self.fn = fn
         self.needs = (needs,) if isinstance(needs, str) else tuple(needs)
-        self._name: str = name or getattr(fn, "__name__", type(fn).__name__)
+        self._name = str(name or getattr(fn, "__name__", type(fn).__name__))
         if not self.needs or "images" in self.needs:
             raise ValueError(f"needs: expected one or more feature keys, got {self.needs}")
 
