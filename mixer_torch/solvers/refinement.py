@@ -16,7 +16,7 @@ from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import Names, carriers_of, named, search_region
 
 Progress = Callable[[float], None]
-RESTARTS = 100  # in a row that bring nothing before a part is left
+RESTARTS = 200  # in a row that bring nothing before a part is left
 PERSISTENCE = 20  # restarts of one part are at most this many times those
 CHUNK = 20_000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
