@@ -86,11 +86,17 @@ def make(out):
         chosen = [f for f in failures if (f["dataset"], f["modalities"]) == (dataset, combined)]
         parts.append(report.failure_table(dataset, chosen))
         parts.append(report.verdict(group, columns))
-    parts.append(report.size_table(rows))
+    parts += [report.size_table(rows), settings()]
     report.size_figure(rows, out / "time")
     text = "\n\n".join(part for part in parts if part) + "\n"
     (out / "table.md").write_text(text)
     return text
+
+
+def settings():
+    """How each algorithm was set, where not at its defaults."""
+    lines = ["## Settings", "", "Chosen by `mixer bench tuning` on parking lots of other seeds."]
+    return "\n".join([*lines, "", *(f"- {name}: {it}" for name, it in comparison.CHOSEN.items())])
 
 
 if __name__ == "__main__":
