@@ -15,7 +15,8 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.decomposition import Parts
 from mixer_torch.solvers.graph import Graph, shares_token
 
-ENTRIES = 2**22
+ENTRIES_CPU = 2**17  # of a batch's matrix: what stays in the cache
+ENTRIES_GPU = 2**24  # what keeps the device busy
 
 
 @dataclass(frozen=True)
@@ -96,12 +97,13 @@ def continued(first: Descent, chosen: Bool[Tensor, " B"], then: Descent) -> Desc
     return Descent(assignment, iterations, penalty, torch.cat([first.history, more]))
 
 
-def buckets(sizes: Sequence[int], entries: int = ENTRIES) -> Iterator[list[int]]:
+def buckets(sizes: Sequence[int], device: torch.device) -> Iterator[list[int]]:
     """Indices of problems that go well into one batch: alike in size, and not too many.
 
     Sizes within a bucket differ by at most a quarter (and 8), so that little of the work is spent
-    on padding; a bucket's matrices have at most so many entries, unless it holds one problem.
+    on padding; its matrices are no larger than suits the device, unless it holds one problem.
     """
+    entries = ENTRIES_CPU if device.type == "cpu" else ENTRIES_GPU
     bucket: list[int] = []
     for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
         if bucket:

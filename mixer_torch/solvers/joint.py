@@ -154,7 +154,7 @@ class Joint:
         clusters = np.bincount(self.parts.part[first], minlength=len(size))
         columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
         found: dict[int, Relaxed] = {}
-        for bucket in buckets(size[which].tolist()):
+        for bucket in buckets(size[which].tolist(), self.like.device):
             if clock.is_over():
                 break
             chosen = which[bucket]

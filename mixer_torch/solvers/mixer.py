@@ -112,7 +112,7 @@ class Mixer(Solver):
     ) -> list[Solution]:
         """The gradient stage alone, on each problem as a whole."""
         answers: dict[int, Relaxed] = {}
-        for bucket in buckets([len(problem) for problem in problems]):
+        for bucket in buckets([len(problem) for problem in problems], problems[0].cost.device):
             if clock.is_over():
                 break
             batch = Batch.of([problems[i] for i in bucket])
