@@ -72,7 +72,7 @@ def split(graph: Graph, size: int) -> tuple[list[Graph], float]:
     n = len(graph)
     if n <= size:
         return [graph], 0.0
-    attracts = csr_array((graph.cost < 0, graph.neighbour, graph.start), shape=(n, n))
+    attracts = csr_array((graph.cost < 0, graph.neighbour, graph.start), shape=(n, n), copy=True)
     attracts.eliminate_zeros()
     order = breadth_first_order(attracts, 0, return_predecessors=False)
     block = np.empty(n, np.int64)

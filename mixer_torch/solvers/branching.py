@@ -19,8 +19,8 @@ from mixer_torch.solvers.refinement import refine
 
 DECIDED = 1e-6
 PROVEN = 1e-8  # of the largest cost: what is not better by more is not better
-ROUNDS = 6  # over which a round of cuts has to close a part of the gap, or the node is branched
-WORTH = 0.1
+ROUNDS = 3  # over which a round of cuts has to close a part of the gap, or the node is branched
+WORTH = 0.3
 ASCENT = 0.2  # of the time at most goes into dual ascent
 LARGEST = 400  # nodes that a linear program is tried on; beyond, dual ascent has all the time
 

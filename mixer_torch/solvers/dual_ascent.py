@@ -77,7 +77,7 @@ def ascend(
             best = Ascent(bound, _square(n, first, second, reduced), cuts.select(y > SMALL))
         history.append(best.bound)
         settled = softness <= HARDEST and len(history) > PATIENCE
-        done = settled and history[-1] - history[-1 - PATIENCE] < 1e-4 * abs(history[-1])
+        done = settled and history[-1] - history[-1 - PATIENCE] <= 1e-4 * abs(history[-1])
         if done or bound >= target or time.perf_counter() >= deadline:
             return best
         x = 1 / (1 + np.exp(np.clip(reduced / softness, -50, 50)))

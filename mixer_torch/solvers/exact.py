@@ -39,8 +39,6 @@ class Exact(Solver):
     def __init__(self, time_limit: float = 60.0, start: Solver | None = None) -> None:
         if not time_limit >= 0:
             raise ValueError(f"time_limit: expected seconds >= 0, got {time_limit}")
-        if start is not None and not isinstance(start, Solver):
-            raise TypeError(f"start: expected an instance of Solver, got {start!r}")
         self.time_limit = time_limit
         self.start = start
 

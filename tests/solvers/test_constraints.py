@@ -1,0 +1,166 @@
+"""Must-link, cannot-link and waived distinctness: against enumeration; contradictions."""
+
+import numpy as np
+import pytest
+import torch
+from enumeration import optimum
+
+import mixer_torch as mx
+from mixer_torch.solvers.base import Solution, Solver, problem_of
+from mixer_torch.solvers.constraints import constrain
+
+
+class Alone(Solver):
+    """Every node a cluster: the least that a solver can do."""
+
+    def run(self, problem):
+        return Solution(mx.Status.CONVERGED, labels=torch.arange(len(problem)))
+
+
+class AloneWithTokens(Alone):
+    takes_tokens = True
+
+
+class Linked(Solver):
+    """Links of all nodes that may be together, consistent or not."""
+
+    takes_tokens = True
+
+    def run(self, problem):
+        return Solution(mx.Status.INCONSISTENT, links=problem.pairs)
+
+
+def affinity_of(rng, view, indistinct=None):
+    m = len(view)
+    scores = rng.random((m, m))
+    return mx.Affinity.from_dense((scores + scores.T) / 2, view, indistinct=indistinct)
+
+
+def dense(affinity):
+    cost = problem_of(affinity).dense_cost().double().numpy()
+    view = affinity.view.numpy()
+    return cost, (view[:, None] == view) & (view >= 0)[:, None] & ~np.eye(len(view), dtype=bool)
+
+
+@pytest.mark.parametrize("solver", [mx.Exact(), mx.Mixer()], ids=["Exact", "Mixer"])
+def test_the_optimum_under_constraints_is_found(solver):
+    rng = np.random.default_rng(0)
+    solved = exact = 0
+    while solved < 40:
+        m = int(rng.integers(4, 8))
+        affinity = affinity_of(rng, rng.integers(0, 4, m))
+        must, cannot = (rng.choice(m, (2, 2), replace=False) for _ in range(2))
+        cost, forbidden = dense(affinity)
+        for a, b in cannot.T:
+            forbidden[a, b] = forbidden[b, a] = True
+        best = optimum(cost, forbidden, must.T)
+        if np.isinf(best):
+            with pytest.raises(ValueError, match="must_link"):
+                mx.solve(affinity, solver, must_link=must, cannot_link=cannot)
+            continue
+        answer = mx.solve(affinity, solver, must_link=must, cannot_link=cannot, bound=True)
+        labels = answer.labels
+        assert (labels[must[0]] == labels[must[1]]).all()
+        assert (labels[cannot[0]] != labels[cannot[1]]).all()
+        assert answer.objective >= best - 1e-6
+        assert answer.lower_bound <= best + 1e-6
+        exact += answer.objective < best + 1e-6
+        solved += 1
+    assert exact == 40 if isinstance(solver, mx.Exact) else exact >= 38
+
+
+def test_cost_inside_groups_counts_and_links_are_told_for_observations():
+    view = [0, 0, 1, 1, 2]
+    affinity = affinity_of(np.random.default_rng(1), view)
+    cost, _ = dense(affinity)
+    answer = mx.solve(affinity, AloneWithTokens(), must_link=[[0, 2], [2, 4]])
+    assert answer.labels.tolist() == [0, 1, 0, 2, 0]
+    assert answer.objective == pytest.approx(cost[0, 2] + cost[0, 4] + cost[2, 4])
+    links = mx.solve(affinity, Linked(), must_link=[[0, 2], [2, 4]]).links
+    assert sorted(links.T.tolist()) == [[0, 2], [0, 4], [1, 3], [2, 4]]
+
+
+def test_no_constraint_leaves_the_problem_as_it_is():
+    affinity = affinity_of(np.random.default_rng(2), [0, 0, 1, 2])
+    problem = problem_of(affinity)
+    _, reduction = constrain(problem, affinity.view, must_link=[], cannot_link=None)
+    assert reduction.problem is problem
+
+
+def test_a_cannot_link_is_a_view_that_two_share():
+    affinity = affinity_of(np.random.default_rng(3), [0, 0, 1, 2])
+    _, reduction = constrain(problem_of(affinity), affinity.view, cannot_link=[[0], [2]])
+    apart = reduction.problem.apart()
+    assert sorted(apart.nonzero().tolist()) == [[0, 1], [0, 2], [1, 0], [2, 0]]
+    assert not reduction.problem.dense_cost()[apart].any()
+
+
+def test_indistinct_views_are_none():
+    rng = np.random.default_rng(4)
+    scores = rng.random((6, 6))
+    scores = (scores + scores.T) / 2
+    view = np.array([5, 5, 5, 2, 2, 3])
+    listed = mx.Affinity.from_dense(scores, view, indistinct=[5])
+    assert listed.view.tolist() == [-1, -1, -1, 2, 2, 3]
+    cost, forbidden = dense(listed)
+    answer = mx.solve(listed, mx.Exact())
+    assert answer.objective == pytest.approx(optimum(cost, forbidden), abs=1e-6)
+
+    unlisted = mx.Affinity.from_dense(scores, view)
+    cost, forbidden = dense(unlisted)
+    forbidden[:3, :3] = False
+    answer = mx.solve(unlisted, mx.Exact(), indistinct=[5])
+    assert answer.objective == pytest.approx(optimum(cost, forbidden), abs=1e-6)
+    linked = mx.solve(unlisted, mx.Exact(), indistinct=[5], must_link=[[0, 1], [1, 2]])
+    assert len(set(linked.labels[:3].tolist())) == 1
+
+
+def test_contradictions_name_the_pairs():
+    affinity = affinity_of(np.random.default_rng(5), [7, 7, 1, 2, 3])
+    chain = r"must_link: \(0, 2\), \(2, 1\) joins 0 and 1, which are both of view 7"
+    with pytest.raises(ValueError, match=chain):
+        mx.solve(affinity, must_link=[[0, 2], [2, 1]])
+    with pytest.raises(ValueError, match=r"cannot_link: \(0, 3\) contradicts .*\(0, 2\), \(2, 3\)"):
+        mx.solve(affinity, must_link=[[0, 2], [2, 3]], cannot_link=[[0], [3]])
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ({"must_link": [0, 1]}, "must_link: expected integers of shape"),
+        ({"cannot_link": [[0.5], [1.0]]}, "cannot_link: expected integers of shape"),
+        ({"must_link": [[0], [5]]}, r"must_link: expected pairs .* in 0..4, got \(0, 5\)"),
+        ({"must_link": [[3], [3]]}, r"must_link: expected pairs .*, got \(3, 3\)"),
+        ({"indistinct": [9]}, "indistinct: no observation is of view 9"),
+    ],
+)
+def test_malformed_arguments_are_named(argument, message):
+    affinity = affinity_of(np.random.default_rng(6), [7, 7, 1, 2, 3])
+    with pytest.raises(ValueError, match=message):
+        mx.solve(affinity, **argument)
+
+
+def test_a_solver_without_sets_of_views_is_given_what_it_can_honour_or_refused():
+    affinity = affinity_of(np.random.default_rng(7), [0, 0, 1, 1, -1])
+    answer = mx.solve(affinity, Alone(), must_link=[[0], [4]])
+    assert answer.labels.tolist() == [0, 1, 2, 3, 0]
+    with pytest.raises(ValueError, match="solver: Alone cannot honour"):
+        mx.solve(affinity, Alone(), must_link=[[0], [2]])
+
+
+def test_each_problem_of_a_list_has_its_own():
+    rng = np.random.default_rng(8)
+    both = [affinity_of(rng, [0, 0, 1, 1]) for _ in range(2)]
+    answers = mx.solve(both, must_link=[[[0], [2]], None], cannot_link=[None, [[0], [2]]])
+    assert answers[0].labels[0] == answers[0].labels[2]
+    assert answers[1].labels[0] != answers[1].labels[2]
+    with pytest.raises(ValueError, match="must_link: expected None or a list with an entry for"):
+        mx.solve(both, must_link=torch.zeros(2, 0, dtype=torch.int64))
+
+
+def test_a_batch_of_random_problems_with_random_constraints_is_honoured():
+    rng = np.random.default_rng(9)
+    affinities = [affinity_of(rng, rng.integers(0, 6, 15)) for _ in range(5)]
+    cannot = [rng.choice(15, (2, 3), replace=False) for _ in affinities]
+    for answer, pairs in zip(mx.solve(affinities, cannot_link=cannot), cannot, strict=True):
+        assert (answer.labels[pairs[0]] != answer.labels[pairs[1]]).all()
