@@ -12,7 +12,6 @@ from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.batch import Batch, buckets
 from mixer_torch.solvers.gradient import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
-from mixer_torch.solvers.refinement import RESTARTS
 
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
@@ -44,7 +43,8 @@ class Mixer(Solver):
             in the paper, or "simplex" (row sum 1), as in the authors' later version. Annealing
             needs row sums of 1.
         refine: Whether discrete moves follow. Without, this is the algorithm of the paper.
-        restarts: Perturbed restarts of the refinement, in each part that can be solved apart.
+        restarts: Perturbed restarts in a row that bring nothing, after which the refinement leaves
+            a part. More find better answers of hard problems, in proportionally more time.
         time_limit: Seconds, after which the best answer so far is returned; None for no limit.
         seed: Of all random draws.
         precision: Of the matrix products when annealing: "float32" (or float64, where the scores
@@ -63,7 +63,7 @@ class Mixer(Solver):
         schedule: str | None = None,
         projection: str = "row_sum_at_most_one",
         refine: bool = True,
-        restarts: int = RESTARTS,
+        restarts: int = 100,
         time_limit: float | None = None,
         seed: int = 0,
         precision: str = "float32",
