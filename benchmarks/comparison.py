@@ -2,7 +2,8 @@
 
 Every algorithm gets the same affinity. Those that know one score a pair take the mean of the
 modalities' (``Problem.score``). ``SETTINGS`` lists what was tried for each algorithm, its authors'
-defaults first; ``CHOSEN`` is what tuning.py found best on parking lots that no table shows.
+defaults first; ``CHOSEN`` is what tuning.py found best for each dataset on a part of it that no
+table shows.
 """
 
 import csv
@@ -17,6 +18,7 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.cli import build_parsers
+from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import evaluate
 from mixer_torch.solvers.clear import Clear
 from mixer_torch.solvers.hungarian import Hungarian
@@ -42,7 +44,13 @@ COLUMNS = (
 )
 MODALITIES = {"IoU": "bbox", "Proximity": "proximity", "Color": "colour", "SIFT": "SIFT"}
 ALL = "+".join(MODALITIES)
-HELD_OUT = (100, 101)  # seeds of the parking lots that settings are chosen on
+REAL = ("pets", "cmu_hotel")
+HELD_OUT = {  # what settings are chosen on: other seeds, other frames
+    "parking_lot": ("--dataset.seed=100", "--dataset.seed=101"),
+    "pets": ("--dataset.start=10 --dataset.stop=150",),
+    "cmu_hotel": ("--dataset.start=5",),
+}
+SYNTHETIC = "synthetic"
 
 EVIDENCE = [{"evidence": kind} for kind in ("match", "assignment", "attraction", "score")]
 THRESHOLDS = [{"threshold": value} for value in (0.5, 0.6, 0.7)]
@@ -72,28 +80,17 @@ SETTINGS = {
         ],
     ),
     "CLEAR": (Clear, EVIDENCE),
-    "MIXER, as published": (mx.Mixer, [{"refine": False}]),
+    "MIXER (published)": (mx.Mixer, [{"refine": False}]),
     "MIXER": (mx.Mixer, [{}]),
 }
-CHOSEN = {
-    "All-pairs": {"threshold": 0.6},
-    "Consecutive": {"threshold": 0.5},
-    "Hungarian": {"threshold": 0.5},
-    "Spectral": {"evidence": "attraction"},
-    "MatchEIG": {"evidence": "attraction"},
-    "MatchALS": {"evidence": "attraction"},
-    "MatchLift": {"evidence": "attraction", "sparsity": None},
-    "QuickMatch": {"bandwidth": 0.25, "ratio": 0.6},
-    "CLEAR": {"evidence": "attraction"},
-}
+CHOSEN: dict[str, dict[str, dict]] = {}
 
 
-def algorithms(names=None):
-    """A solver for each algorithm, with the setting chosen for it."""
+def algorithms(dataset):
+    """A solver for each algorithm, with the setting chosen for it on a dataset."""
+    chosen = CHOSEN.get(dataset, {})
     return {
-        name: kind(**CHOSEN.get(name, settings[0]))
-        for name, (kind, settings) in SETTINGS.items()
-        if names is None or name in names
+        name: kind(**chosen.get(name, settings[0])) for name, (kind, settings) in SETTINGS.items()
     }
 
 
@@ -116,8 +113,24 @@ def parking_lots(seeds, num_frames=100):
 
 def real_scenes():
     """(dataset, seed, affinity, identity) of the real data, if MIXER_DATA says where it is."""
-    for config in ("pets", "cmu_hotel") if os.environ.get("MIXER_DATA") else ():
+    for config in REAL if os.environ.get("MIXER_DATA") else ():
         yield config, 0, *scene(config)
+
+
+def held_out(num_frames=100):
+    """(dataset, seed, affinity, identity) of scenes that no table shows, to choose settings on."""
+    for config, parts in HELD_OUT.items():
+        if config in REAL and not os.environ.get("MIXER_DATA"):
+            continue
+        short = () if config in REAL else (f"--dataset.num_frames={num_frames}",)
+        for k, overrides in enumerate(parts):
+            yield config, k, *scene(config, *overrides.split(), *short)
+    for seed in range(100, 110):
+        yield (
+            SYNTHETIC,
+            seed,
+            *synthetic(8, 6, modalities=4, wrong=0.2, inconclusive=0.6, seed=seed),
+        )
 
 
 def measure(algorithm, solver, affinity, identity, dataset, seed, modalities=None):
@@ -206,11 +219,11 @@ class Peak:
         raise OSError(f"no {key}")
 
 
-def warm_up(names=None):
+def warm_up():
     """Solve something small with each: compilers and libraries start outside of the clock."""
     scores = torch.eye(6).repeat(2, 2)
     affinity = mx.Affinity.from_dense(scores, torch.arange(2).repeat_interleave(6))
-    for solver in algorithms(names).values():
+    for solver in algorithms(SYNTHETIC).values():
         mx.solve(affinity, solver)
 
 

@@ -29,12 +29,12 @@ def run(seeds, num_frames):
     rows = []
     for dataset, seed, affinity, identity in scenes:
         for name in affinity.modalities:
-            solver = comparison.algorithms(["MIXER"])["MIXER"]
+            solver = comparison.algorithms(dataset)["MIXER"]
             row, _ = comparison.measure("MIXER", solver, affinity, identity, dataset, seed, (name,))
             rows.append(row)
     names = order(rows)
     for dataset, seed, affinity, identity in scenes:
-        solvers = tqdm(comparison.algorithms().items(), f"{dataset} {seed}", disable=None)
+        solvers = tqdm(comparison.algorithms(dataset).items(), f"{dataset} {seed}", disable=None)
         for algorithm, solver in solvers:
             for k in range(1, len(names) + 1):
                 if (algorithm, k) == ("MIXER", 1):

@@ -9,13 +9,9 @@ PAPER = {
     "MatchLift": ((0.83, 0.24), (0.83, 0.34), (0.34, 0.17), (0.51, 0.83), (0.51, 0.72)),
     "QuickMatch": ((0.92, 0.20), (0.97, 0.24), (0.18, 0.32), (0.20, 0.36), (0.29, 0.34)),
     "CLEAR": ((0.56, 0.21), (0.14, 0.58), (0.13, 0.41), (0.30, 0.75), (0.28, 0.77)),
-    "MIXER, as published": ((0.88, 0.35), (0.85, 0.45), (0.13, 0.35), (0.85, 0.62), (0.88, 0.82)),
+    "MIXER (published)": ((0.88, 0.35), (0.85, 0.45), (0.13, 0.35), (0.85, 0.62), (0.88, 0.82)),
 }
 """Precision and recall of Lusk et al. 2021, Table II: bbox, proximity, colour, SIFT, combined."""
-
-
-def has(rows, modalities):
-    return any(row["modalities"] == modalities for row in rows)
 
 
 def cells(rows, columns):

@@ -34,7 +34,7 @@ def problem(sweep, value, seed):
 
 def run(trials, thin):
     rows = []
-    solvers = comparison.algorithms() | {"optimum": Exact(time_limit=20.0)}
+    solvers = comparison.algorithms(comparison.SYNTHETIC) | {"optimum": Exact(time_limit=20.0)}
     for sweep, (_, values) in SWEEPS.items():
         for value in values[::2] if thin else values:
             for seed in tqdm(range(trials), f"{sweep} {value}", disable=None):

@@ -1,14 +1,16 @@
 """The same small search for every algorithm: which of its settings is best where no table looks.
 
-Each setting in ``comparison.SETTINGS`` is run on parking lots of held-out seeds, on each modality
-and on all of them; the one of the highest mean F1 over all of these is the one to use
-(``comparison.CHOSEN``).
+Each setting in ``comparison.SETTINGS`` is run on held-out scenes of each dataset: parking lots of
+other seeds, other frames of PETS and of the hotel, synthetic problems of other seeds. The one of
+the highest mean F1, over each modality alone and all together, is the one to use
+(``comparison.CHOSEN``, whose text comes last).
 
     mixer bench tuning --out out/benchmarks/tuning
 """
 
 import argparse
 import json
+import pprint
 from pathlib import Path
 
 from tqdm import tqdm
@@ -18,9 +20,7 @@ from mixer_torch.benchmarks import comparison
 
 def run(num_frames):
     rows = []
-    for dataset, seed, affinity, identity in comparison.parking_lots(
-        comparison.HELD_OUT, num_frames
-    ):
+    for dataset, seed, affinity, identity in comparison.held_out(num_frames):
         sets = [(name,) for name in affinity.modalities] + [affinity.modalities]
         candidates = tqdm(comparison.SETTINGS.items(), f"{dataset} {seed}", disable=None)
         for name, (kind, settings) in candidates:
@@ -39,29 +39,39 @@ def main(argv=None):
     )
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/tuning"))
     parser.add_argument("--quick", action="store_true", help="40 frames in place of 100")
+    parser.add_argument("--from_rows", action="store_true", help="only make the tables")
     arguments = parser.parse_args(argv)
-    rows = run(40 if arguments.quick else 100)
-    comparison.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
+    if not arguments.from_rows:
+        rows = run(40 if arguments.quick else 100)
+        comparison.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
     text = table(comparison.read(arguments.out / "rows.csv"))
     (arguments.out / "table.md").write_text(text)
     return text
 
 
 def table(rows):
-    """Mean F1 of each setting, the chosen one in bold."""
-    lines = ["| algorithm | setting | mean F1, all columns | combined |", "|---|---|---|---|"]
+    """Mean F1 of each setting on each dataset, the chosen ones in bold, and as a literal."""
+    datasets = [name for (name,) in comparison.grouped(rows, "dataset")]
+    lines = [
+        "| algorithm | setting | " + " | ".join(datasets) + " |",
+        "|---|---" + "|---" * len(datasets) + "|",
+    ]
+    chosen = {dataset: {} for dataset in datasets}
     for (algorithm,), group in comparison.grouped(rows, "algorithm").items():
-        settings = comparison.grouped(group, "setting")
-        means = {key: comparison.mean(chosen, "f1") for key, chosen in settings.items()}
-        best = max(means, key=means.__getitem__)
-        for key, chosen in settings.items():
-            combined = [row for row in chosen if row["modalities"] == comparison.ALL]
-            shown = f"{means[key]:.3f}"
-            shown = f"**{shown}**" if key == best else shown
-            lines.append(
-                f"| {algorithm} | {key[0]} | {shown} | {comparison.mean(combined, 'f1'):.3f} |"
-            )
-    return "\n".join(lines) + "\n"
+        means = {
+            key: comparison.mean(found, "f1")
+            for key, found in comparison.grouped(group, "setting", "dataset").items()
+        }
+        settings = list(comparison.grouped(group, "setting"))
+        for dataset in datasets:
+            best = max(settings, key=lambda key, d=dataset: means[key[0], d])
+            chosen[dataset][algorithm] = json.loads(best[0])
+        for (setting,) in settings:
+            is_best = [chosen[d][algorithm] == json.loads(setting) for d in datasets]
+            shown = [f"{means[setting, dataset]:.3f}" for dataset in datasets]
+            shown = [f"**{s}**" if best else s for s, best in zip(shown, is_best, strict=True)]
+            lines.append(f"| {algorithm} | {setting} | " + " | ".join(shown) + " |")
+    return "\n".join([*lines, "", "    CHOSEN = " + pprint.pformat(chosen, width=90), ""])
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The comparison's rows, tables and figures, on small synthetic scenes."""
 
+import ast
 import csv
 import math
 
@@ -17,18 +18,21 @@ from mixer_torch.solvers.threshold import AllPairs
 @pytest.fixture
 def small(monkeypatch):
     """Scenes in place of parking lots, and three of the algorithms."""
+    names = list(reversed(comparison.MODALITIES))  # a configuration may name them in any order
 
     def scenes(seeds, num_frames=100):
         for seed in seeds:
             affinity, labels = synthetic(objects=4, views=4, modalities=4, seed=seed)
-            named = mx.Affinity(
-                affinity.pairs, affinity.scores, affinity.view, tuple(comparison.MODALITIES)
-            )
+            named = mx.Affinity(affinity.pairs, affinity.scores, affinity.view, tuple(names))
             yield "parking_lot", seed, named, labels
+
+    def held_out(num_frames=100):
+        return scenes((7, 8))
 
     chosen = {key: comparison.SETTINGS[key] for key in ("All-pairs", "CLEAR", "QuickMatch")}
     chosen["MIXER"] = (AllPairs, [{}])  # in its place: it takes no time
     monkeypatch.setattr(comparison, "parking_lots", scenes)
+    monkeypatch.setattr(comparison, "held_out", held_out)
     monkeypatch.setattr(comparison, "SETTINGS", chosen)
     monkeypatch.delenv("MIXER_DATA", raising=False)
 
@@ -157,6 +161,10 @@ def test_tuning_marks_the_best_setting(small, tmp_path):
         lines = [line for line in text.splitlines() if line.startswith(f"| {name}")]
         assert len(lines) == len(comparison.SETTINGS[name][1])
         assert sum("**" in line for line in lines) == 1
+    chosen = ast.literal_eval(text.partition("CHOSEN = ")[2].strip())
+    assert set(chosen["parking_lot"]) == {"All-pairs", "CLEAR", "QuickMatch"}
+    bold = next(line for line in text.splitlines() if line.startswith("| CLEAR") and "**" in line)
+    assert chosen["parking_lot"]["CLEAR"]["evidence"] in bold
 
 
 def test_peak_memory_is_that_of_the_work_alone():
