@@ -21,13 +21,16 @@ class Platt(LikelihoodRatio):
     Args:
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of a² and of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
     """
 
     centre: Tensor
     spread: Tensor
 
-    def __init__(self, covariates: Sequence[str] = (), regularisation: float = 1e-4) -> None:
-        super().__init__(covariates, regularisation)
+    def __init__(
+        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
+    ) -> None:
+        super().__init__(covariates, regularisation, counted)
         self.slope = nn.Parameter(torch.zeros((), dtype=torch.float64))
         self.intercept = nn.Parameter(torch.zeros((), dtype=torch.float64))
         self.register_buffer("centre", torch.zeros((), dtype=torch.float64))
@@ -51,10 +54,13 @@ class Temperature(LikelihoodRatio):
     Args:
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of 1 / T² and of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
     """
 
-    def __init__(self, covariates: Sequence[str] = (), regularisation: float = 1e-4) -> None:
-        super().__init__(covariates, regularisation)
+    def __init__(
+        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
+    ) -> None:
+        super().__init__(covariates, regularisation, counted)
         self.inverse = nn.Parameter(torch.full((), 0.5413, dtype=torch.float64))
 
     @property
@@ -79,10 +85,13 @@ class Beta(LikelihoodRatio):
     Args:
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of a² + b² and of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
     """
 
-    def __init__(self, covariates: Sequence[str] = (), regularisation: float = 1e-4) -> None:
-        super().__init__(covariates, regularisation)
+    def __init__(
+        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
+    ) -> None:
+        super().__init__(covariates, regularisation, counted)
         self.exponents = nn.Parameter(torch.zeros(2, dtype=torch.float64))
         self.intercept = nn.Parameter(torch.zeros((), dtype=torch.float64))
 
@@ -112,6 +121,7 @@ class Histogram(LikelihoodRatio):
         bins: Number of bins at most; equal evidence is never parted.
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
 
     Raises:
         ValueError: bins < 1.
@@ -121,9 +131,13 @@ class Histogram(LikelihoodRatio):
     values: Tensor
 
     def __init__(
-        self, bins: int = 15, covariates: Sequence[str] = (), regularisation: float = 1e-4
+        self,
+        bins: int = 15,
+        covariates: Sequence[str] = (),
+        regularisation: float = 1e-4,
+        counted: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation)
+        super().__init__(covariates, regularisation, counted)
         if bins < 1:
             raise ValueError(f"bins: expected an integer >= 1, got {bins}")
         self.bins = bins
@@ -157,6 +171,7 @@ class Isotonic(LikelihoodRatio):
             distances, ``either`` for what the pairs of training say.
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
 
     Raises:
         ValueError: direction is another.
@@ -170,8 +185,9 @@ class Isotonic(LikelihoodRatio):
         direction: Literal["increasing", "decreasing", "either"] = "either",
         covariates: Sequence[str] = (),
         regularisation: float = 1e-4,
+        counted: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation)
+        super().__init__(covariates, regularisation, counted)
         self.direction = _checked(direction)
         self.register_buffer("knots", torch.zeros(1, dtype=torch.float64))
         self.register_buffer("values", torch.zeros(1, dtype=torch.float64))
@@ -224,6 +240,7 @@ class MonotoneSpline(LikelihoodRatio):
             distances, ``either`` for what the pairs of training say.
         covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the squared rises and of the covariates' squares in the loss.
+        counted: Whether covariates are evidence themselves.
 
     Raises:
         ValueError: knots < 2, or direction is another.
@@ -238,8 +255,9 @@ class MonotoneSpline(LikelihoodRatio):
         direction: Literal["increasing", "decreasing", "either"] = "either",
         covariates: Sequence[str] = (),
         regularisation: float = 1e-4,
+        counted: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation)
+        super().__init__(covariates, regularisation, counted)
         if knots < 2:
             raise ValueError(f"knots: expected an integer >= 2, got {knots}")
         self.knots = knots
@@ -281,8 +299,7 @@ class MonotoneSpline(LikelihoodRatio):
 def balanced_quantiles(
     x: Float[Tensor, " P"], same: Bool[Tensor, " P"], count: int
 ) -> Float[Tensor, " k"]:
-    """Up to ``count`` different values, the extremes and quantiles between them, with each kind of
-    pairs counted as one half."""
+    """Extremes and quantiles between them, up to ``count`` values, each kind counted as a half."""
     order = torch.argsort(x)
     weight = torch.where(same, 0.5 / same.sum(), 0.5 / (~same).sum())[order]
     wanted = torch.linspace(0, 1, count, dtype=x.dtype, device=x.device)
@@ -292,7 +309,7 @@ def balanced_quantiles(
 
 
 def smoothed_log_ratio(same: Tensor, different: Tensor, odds: Tensor) -> Tensor:
-    """log (n_s + 1) / (n_d + 1 / o) - log o: 0 where there is nothing."""
+    """The value of log (n_s + 1) / (n_d + 1 / o) - log o: 0 where there is nothing."""
     return ((same + 1) / (different + 1 / odds)).log() - odds.log()
 
 

@@ -29,14 +29,14 @@ where the best is none, so noise passes once in about a thousand times."""
 class LikelihoodRatio(Calibrator):
     """Score sigmoid(r) of evidence x under circumstances c, r a fitted log likelihood ratio:
 
-        r(x, c) = shrinkage * support(x, c) * ( exp(u · φ(c)) h(x) + v · φ(c) ),
+        r(x, c) = shrinkage * support(x, c) * ( exp(u · φ(c)) h(x) + v · ψ(c) ),
         -log(n_same + 1) <= r <= log(n_different + 1)
 
-    h is what a subclass defines, monotone where it says so; φ(c) are the columns of the covariates,
-    and there is no second factor or summand where there are none. Fitting minimises the log loss of
+    h is what a subclass defines, monotone where it says so; φ(c) and ψ(c) are columns of the
+    covariates, and without any there is no second factor or summand. Fitting minimises log loss of
     r + logit P(same | c), in which the base rate under the circumstances is estimated apart: r is
-    then the likelihood ratio of the evidence alone, at whatever rate matches occur, and
-    circumstances that make a match likely are no evidence by themselves.
+    then log p(x | same, c) - log p(x | different, c), at whatever rate matches occur, and
+    circumstances that make a match likely are no evidence by themselves, unless ``counted``.
 
     Three things keep it modest. It claims no larger ratio than the number of pairs of the other
     kind that training saw. ``support`` falls to 0 outside of the range that training saw.
@@ -47,6 +47,9 @@ class LikelihoodRatio(Calibrator):
     Args:
         covariates: Names of :data:`scorers.covariates.COVARIATES`.
         regularisation: Weight of the penalty that keeps parameters finite.
+        counted: Whether the circumstances are evidence themselves: r is then the log ratio of
+            p(x, c | same) and p(x, c | different). Of several modalities at most one should
+            count them.
 
     Raises:
         ValueError: A covariate is not known, or regularisation is not positive.
@@ -57,18 +60,23 @@ class LikelihoodRatio(Calibrator):
     bounds: Tensor
     shrinkage: Tensor
 
-    def __init__(self, covariates: Sequence[str] = (), regularisation: float = 1e-4) -> None:
+    def __init__(
+        self,
+        covariates: Sequence[str] = (),
+        regularisation: float = 1e-4,
+        counted: bool = False,
+    ) -> None:
         super().__init__()
         if not 0 < regularisation < float("inf"):
             raise ValueError(f"regularisation: expected a positive number, got {regularisation}")
+        self.counted = counted
         self.covariates = Covariates(covariates)
         self.needs = self.covariates.needs
         self.regularisation = regularisation
         columns = 2 * len(self.covariates)
-        zeros = torch.zeros(columns, dtype=torch.float64)
-        self.gain = nn.Parameter(zeros.clone())
-        self.offset = nn.Parameter(zeros.clone())
         base = self.covariates.base_columns(torch.zeros(1, len(self.covariates))).shape[1]
+        self.gain = nn.Parameter(torch.zeros(columns, dtype=torch.float64))
+        self.offset = nn.Parameter(torch.zeros(base - 1, dtype=torch.float64))
         self.register_buffer("base_rate", torch.zeros(base, dtype=torch.float64))
         self.register_buffer("counts", torch.zeros(2, dtype=torch.float64))
         self.register_buffer("bounds", torch.zeros(2, dtype=torch.float64))
@@ -80,6 +88,7 @@ class LikelihoodRatio(Calibrator):
         return {
             "covariates": list(self.covariates.names),
             "regularisation": self.regularisation,
+            "counted": self.counted,
         }
 
     def describe(self, observations: Observations) -> Features:
@@ -96,7 +105,7 @@ class LikelihoodRatio(Calibrator):
         """r(x, c), (P,) in nats, in the dtype of the evidence."""
         x, c = self._wide(evidence, covariates)
         inside = support(x, *self.bounds.to(x.device)) * self.covariates.support(c)
-        ratio = self.shrinkage * inside * self._free_ratio(x, self.covariates.columns(c))
+        ratio = self.shrinkage * inside * self._free_ratio(x, c)
         same, different = torch.log1p(self.counts)
         return ratio.clamp(-same, different).to(evidence.dtype)
 
@@ -113,10 +122,11 @@ class LikelihoodRatio(Calibrator):
             )
         return evidence.double(), covariates.double()
 
-    def _free_ratio(
-        self, x: Float[Tensor, " P"], columns: Float[Tensor, "P c2"]
-    ) -> Float[Tensor, " P"]:
-        return torch.exp((columns @ self.gain).clamp(-4, 4)) * self.ratio(x) + columns @ self.offset
+    def _free_ratio(self, x: Float[Tensor, " P"], c: Float[Tensor, "P c"]) -> Float[Tensor, " P"]:
+        if not len(self.covariates):
+            return self.ratio(x)
+        gain = torch.exp((self.covariates.columns(c) @ self.gain).clamp(-4, 4))
+        return gain * self.ratio(x) + self.covariates.base_columns(c)[:, :-1] @ self.offset
 
     @abstractmethod
     def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
@@ -141,6 +151,7 @@ class LikelihoodRatio(Calibrator):
         self.bounds.copy_(torch.stack([x.min(), x.max()]))
         self.covariates.learn(c)
         base = self.covariates.base_columns(c)
+        base[:, :-1] *= not self.counted
         self.base_rate.copy_(logistic_regression(base, y.double(), 1e-6))
         with torch.no_grad():
             self.prepare(x, y)
@@ -159,7 +170,7 @@ class LikelihoodRatio(Calibrator):
         """
         x, c = self._wide(evidence, covariates)
         prior = self.covariates.base_columns(c) @ self.base_rate - math.log(kept)
-        logit = self._free_ratio(x, self.covariates.columns(c)) + prior
+        logit = self._free_ratio(x, c) + prior
         fit = binary_cross_entropy_with_logits(logit, same.double())
         return fit + self.regularisation * self.penalty()
 
@@ -296,7 +307,7 @@ def minimise(loss: Any, parameters: list[nn.Parameter], iterations: int = 60) ->
 def logistic_regression(
     columns: Float[Tensor, "P c"], y: Float[Tensor, " P"], regularisation: float
 ) -> Float[Tensor, " c"]:
-    """minimise over w: mean log loss of columns w + regularisation / 2 * |w|², by Newton's method.
+    """Minimise mean log loss of columns w + regularisation / 2 * |w|² over w, by Newton's method.
 
     The last column is the constant and goes almost free.
     """
@@ -337,7 +348,7 @@ def best_shift(prior: Float[Tensor, " P"], y: Bool[Tensor, " P"]) -> Float[Tenso
 def best_factor(
     ratio: Float[Tensor, " P"], y: Bool[Tensor, " P"], prior: Float[Tensor, " P"]
 ) -> Float[Tensor, ""]:
-    """The factor k in [0, 1] for which k ratio + prior has the least log loss; it is convex in k."""
+    """The factor k in [0, 1] for which k ratio + prior has the least log loss, convex in k."""
     low, high = prior.new_zeros(()), prior.new_ones(())
     for _ in range(40):
         middle = (low + high) / 2

@@ -18,7 +18,7 @@ from scorers.fitted import save_calibrator
 from scorers.likelihood_ratio import LikelihoodRatio
 from train.data import PairData, Rows
 from train.evaluation import Affinities, evaluate_scores
-from train.tables import PairTable
+from train.tables import PairTable, calibrated
 
 
 class CalibratorTraining(LightningModule):
@@ -138,13 +138,11 @@ class CalibratorTraining(LightningModule):
         """Scores (l, P) of a table, set by hand and trained."""
 
         def by_hand(table: PairTable) -> Tensor:
-            return hand_set(data.scorers, table)
+            return calibrated(data.scorers, table)
 
         def trained(table: PairTable) -> Tensor:
             rows = []
-            for calibrator, evidence in zip(
-                self.calibrators.values(), table.evidence, strict=True
-            ):
+            for calibrator, evidence in zip(self.calibrators.values(), table.evidence, strict=True):
                 known = evidence.isfinite()
                 covariates = table.covariates_of(calibrator.covariates.names)[known]
                 score = torch.full_like(evidence, 0.5)
@@ -184,19 +182,6 @@ class CalibratorTraining(LightningModule):
         listing = folder / "scorers.yaml"
         listing.write_text(yaml.safe_dump({"scorers": blocks}, sort_keys=False), encoding="utf-8")
         return [*written, listing]
-
-
-def hand_set(scorers: Sequence[Any], table: PairTable) -> Tensor:
-    """Scores (l, P) by the scorers' own calibrators, 0.5 where there is no evidence."""
-    rows = []
-    with torch.no_grad():
-        for scorer, evidence in zip(scorers, table.evidence, strict=True):
-            known = evidence.isfinite()
-            circumstances = scorer.calibrator.describe(table.observations)
-            finite = evidence.where(known, evidence.new_zeros(()))
-            score = scorer.calibrator.calibrate(finite, circumstances, table.pairs)
-            rows.append(score.float().where(known, score.new_full((), 0.5).float()))
-    return torch.stack(rows)
 
 
 def has_both_kinds(evidence: Tensor, same: Tensor) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from mixer_torch import datasets
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.scoring import Scorer
-from train.tables import PairTable, modality_names, pair_table, stack_covariates
+from train.tables import PairTable, calibrated, modality_names, pair_table, stack_covariates
 
 
 class PairData(LightningDataModule):
@@ -75,6 +76,7 @@ class PairData(LightningDataModule):
         self.cache = cache
         self.modalities = modality_names(scorers)
         self._tables: dict[str, list[PairTable]] = {}
+        self._scored = False
 
     @property
     def kept(self) -> float:
@@ -106,6 +108,14 @@ class PairData(LightningDataModule):
         if not self._tables[part]:
             raise ValueError(f"{part}: expected at least one dataset")
         return self._tables[part]
+
+    def replace_evidence_by_scores(self) -> None:
+        """From now on the tables hold scores, by the calibrators that the scorers have."""
+        if not self._scored:
+            for part, tables in self._tables.items():
+                scored = [replace(t, evidence=calibrated(self.scorers, t)) for t in tables]
+                self._tables[part] = scored
+            self._scored = True
 
     def train_dataloader(self) -> DataLoader:
         rows = Rows(self.tables("train"))

@@ -48,9 +48,7 @@ def evaluate_scores(
         names = modalities if len(scored[0]) == len(modalities) else ["all"]
         ratios[name] = ratios_by_modality(tables, scored, names)
         results[name] = {
-            "modalities": {
-                key: calibration_metrics(*value) for key, value in ratios[name].items()
-            },
+            "modalities": {key: calibration_metrics(*value) for key, value in ratios[name].items()},
             "sequences": [
                 solved(table, scores, names, fusion)
                 for table, scores in zip(tables, scored, strict=True)
@@ -58,11 +56,15 @@ def evaluate_scores(
         }
         f1 = [row["f1"] for row in results[name]["sequences"]]
         results[name]["f1"] = sum(f1) / len(f1)
-    text = json.dumps(results, indent=2)
-    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "metrics.json", results)
     save(reliability_figure(ratios), folder / "reliability.png")
     save(histograms_figure(ratios), folder / "histograms.png")
     return results
+
+
+def write_json(path: Path, results: Mapping[str, Any]) -> None:
+    """Write figures for people and programs."""
+    path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 
 
 def ratios_by_modality(
@@ -99,7 +101,10 @@ def solved(
 
 def summary(results: Mapping[str, Any]) -> str:
     """A table of the results, for people."""
-    lines = ["| | modality | Cllr | min Cllr | ECE | Brier | AUC |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| | modality | Cllr | min Cllr | ECE | Brier | AUC |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for name, result in results.items():
         for modality, row in result["modalities"].items():
             cells = [f"{row[key]:.3f}" for key in ("cllr", "min_cllr", "ece", "brier", "auc")]

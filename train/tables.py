@@ -112,6 +112,19 @@ def pair_table(
     return PairTable(seen, pairs, torch.stack(rows), covariates, same)
 
 
+def calibrated(scorers: Sequence[Scorer], table: PairTable) -> Tensor:
+    """Scores (l, P) by the calibrators that the scorers have, 0.5 where there is no evidence."""
+    rows = []
+    with torch.no_grad():
+        for scorer, evidence in zip(scorers, table.evidence, strict=True):
+            known = evidence.isfinite()
+            circumstances = scorer.calibrator.describe(table.observations)
+            finite = evidence.where(known, evidence.new_zeros(()))
+            score = scorer.calibrator.calibrate(finite, circumstances, table.pairs)
+            rows.append(score.float().where(known, score.new_full((), 0.5).float()))
+    return torch.stack(rows)
+
+
 def modality_names(scorers: Sequence[Scorer]) -> tuple[str, ...]:
     """Names of the modalities, told apart as ``score`` does."""
     return unique_names([scorer.name for scorer in scorers])
