@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.affinity import Affinity
@@ -61,15 +61,7 @@ def synthetic(
     Raises:
         ValueError: An argument is out of range, or has not one value for each modality.
     """
-    for name, count in {"objects": objects, "views": views}.items():
-        if count < 0:
-            raise ValueError(f"{name}: expected 0 or more, got {count}")
-    if modalities < 1:
-        raise ValueError(f"modalities: expected 1 or more, got {modalities}")
-    if not 0 <= visible <= 1:
-        raise ValueError(f"visible: expected a probability, got {visible}")
-    if not 0 <= outliers < float("inf"):
-        raise ValueError(f"outliers: expected 0 or more, got {outliers}")
+    _check(objects, views, modalities, visible, outliers)
     flip = _each("wrong", wrong, modalities, 1.0)
     silent = _each("inconclusive", inconclusive, modalities, 1.0)
     deviation = _each("noise", noise, modalities, float("inf"))
@@ -79,15 +71,39 @@ def synthetic(
     pairs = torch.triu_indices(len(view), len(view), offset=1)
     pairs = pairs[:, ~within_view(view, pairs)]
     same = labels[pairs[0]] == labels[pairs[1]]
-    shape = (modalities, pairs.shape[1])
+    scores = _score(same, flip, silent, deviation, generator)
+    names = tuple(f"score_{k}" for k in range(modalities))
+    affinity = Affinity(pairs, scores.to(dtype), view, names)
+    return affinity.to(device), labels.to(device)
+
+
+def _check(objects: int, views: int, modalities: int, visible: float, outliers: float) -> None:
+    for name, count in {"objects": objects, "views": views}.items():
+        if count < 0:
+            raise ValueError(f"{name}: expected 0 or more, got {count}")
+    if modalities < 1:
+        raise ValueError(f"modalities: expected 1 or more, got {modalities}")
+    if not 0 <= visible <= 1:
+        raise ValueError(f"visible: expected a probability, got {visible}")
+    if not 0 <= outliers < float("inf"):
+        raise ValueError(f"outliers: expected 0 or more, got {outliers}")
+
+
+def _score(
+    same: Bool[Tensor, " P"],
+    flip: Float[Tensor, "l 1"],
+    silent: Float[Tensor, "l 1"],
+    deviation: Float[Tensor, "l 1"],
+    generator: torch.Generator,
+) -> Float[Tensor, "l P"]:
+    """Noisy scores of pairs, in float64."""
+    shape = (len(flip), len(same))
     flipped = torch.rand(shape, generator=generator, dtype=torch.float64) < flip
     scores = (same ^ flipped).double()
     scores += deviation * torch.randn(shape, generator=generator, dtype=torch.float64)
     scores = scores.clamp(0, 1)
     scores[torch.rand(shape, generator=generator, dtype=torch.float64) < silent] = 0.5
-    names = tuple(f"score_{k}" for k in range(modalities))
-    affinity = Affinity(pairs, scores.to(dtype), view, names)
-    return affinity.to(device), labels.to(device)
+    return scores
 
 
 def _observe(

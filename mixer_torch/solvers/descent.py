@@ -31,14 +31,13 @@ def descend(
     """Minimise F_d for one d after the other, each from where the last one ended.
 
     F_d, its gradient and constraints are those of :mod:`mixer_torch.solvers.relaxation`, with costs
-    divided by the largest one. d starts below where cost and
-    penalties balance (:func:`first_penalty`).
-    A level ends where a step moves no entry any more. A problem is finished if both penalties
-    vanish there; otherwise its d is doubled and U is disturbed a little, because rows may sit at a
-    saddle point, in equal parts in several columns, or at a vertex next to a lower one. From
-    d = m + 1 on the row sums are 1, as they are in the limit and in the authors' later version:
-    sums <= 1 approach it slowly. Each problem has its own step size and its own d, and stays as it
-    is once it is finished.
+    divided by the largest one. d starts below where cost and penalties balance
+    (:func:`first_penalty`). A level ends where a step moves no entry any more. A problem is
+    finished if both penalties vanish there; otherwise its d is doubled and U is disturbed a little,
+    because rows may sit at a saddle point, in equal parts in several columns, or at a vertex next
+    to a lower one. From d = m + 1 on the row sums are 1, as they are in the limit and in the
+    authors' later version: sums <= 1 approach it slowly. Each problem has its own step size and its
+    own d, and stays as it is once it is finished.
 
     Args:
         batch: The problems.
@@ -51,45 +50,66 @@ def descend(
     scale = torch.where(scale > 0, scale, 1.0)
     cost = batch.cost / scale[:, None, None]
     both = torch.cat([cost, batch.distinctness], 1)
-    size = batch.mask.sum(1)
-    loose = torch.full_like(size, projection == "row_sum_at_most_one", dtype=torch.bool)
+    loose = torch.full_like(scale, projection == "row_sum_at_most_one", dtype=torch.bool)
     at_most = loose
     point = _measure(project_rows(start.clone(), batch.mask, at_most), both)
     penalty = first_penalty(point.assignment, cost, batch.distinctness).clamp(1e-3, 1.0)
-    penalty = FIRST * penalty
-    stiffness = 2 * cost.abs().sum(2).amax(1)
-    step, level = 1 / (stiffness + 2 * penalty), torch.zeros_like(size)
-    finished = stuck = torch.zeros_like(size, dtype=torch.bool)
-    iterations = torch.zeros_like(size)
+    levels = _Levels(FIRST * penalty, 2 * cost.abs().sum(2).amax(1), batch.mask.sum(1))
     generator = torch.Generator(device=cost.device).manual_seed(seed)
     history = []
     for iteration in range(max_iterations):
-        gradient = point.gradient(penalty)
-        target = point.assignment - step[:, None, None] * gradient
+        gradient = point.gradient(levels.penalty)
+        target = point.assignment - levels.step[:, None, None] * gradient
         new = _measure(project_rows(target, batch.mask, at_most), both)
         move = new.assignment - point.assignment
-        before, after = point.objective(penalty), new.objective(penalty)
-        accept = (after <= before + ARMIJO * (gradient * move).sum((1, 2))) & ~finished
-        still = move.abs().amax((1, 2)) < TOLERANCE
+        before, after = point.objective(levels.penalty), new.objective(levels.penalty)
+        decrease = ARMIJO * (gradient * move).sum((1, 2))
+        accept = (after <= before + decrease) & ~levels.finished
         point = _choose(accept, new, point)
         history.append(torch.where(accept, after, before) * scale)
-        iterations = iterations + ~finished
-        level = level + 1
-        clean = (point.violation <= TOLERANCE * size) & (point.row_sum + size <= TOLERANCE)
-        finished = finished | (still & clean)
-        settled = (still | (level >= LEVEL_ITERATIONS)) & ~finished
-        stuck = stuck | settled
-        penalty = torch.where(settled, 2 * penalty, penalty)
-        step = step * torch.where(accept, GROW, SHRINK)
-        step = torch.where(settled, 1 / (stiffness + 2 * penalty), step)
-        level = torch.where(settled, 0, level)
-        at_most = loose & (penalty < size + 1)
+        levels.advance(accept, move.abs().amax((1, 2)) < TOLERANCE, point)
+        at_most = loose & (levels.penalty < levels.size + 1)
         if iteration % CHECK_EVERY == CHECK_EVERY - 1:
-            if bool(finished.all()):
+            if bool(levels.finished.all()):
                 break
-            point = _disturbed(point, stuck & ~finished, both, batch, generator)
-            stuck = torch.zeros_like(stuck)
-    return Descent(point.assignment, iterations, penalty, torch.stack(history))
+            point = _disturbed(point, levels.take_stuck(), both, batch, generator)
+    return Descent(point.assignment, levels.iterations, levels.penalty, torch.stack(history))
+
+
+class _Levels:
+    """Where each problem of a batch stands in the schedule of d: all (B,)."""
+
+    def __init__(self, penalty: Tensor, stiffness: Tensor, size: Tensor) -> None:
+        self.penalty, self.stiffness, self.size = penalty, stiffness, size
+        self.step = self._first_step()
+        self.tried = torch.zeros_like(size)  # steps at this level
+        self.iterations = torch.zeros_like(size)
+        self.finished = torch.zeros_like(size, dtype=torch.bool)
+        self.stuck = torch.zeros_like(size, dtype=torch.bool)
+
+    def advance(self, accept: Tensor, still: Tensor, point: _Point) -> None:
+        """Take a trial step into account: finish, or double d, or change the step size."""
+        self.iterations = self.iterations + ~self.finished
+        self.tried = self.tried + 1
+        clean = (point.violation <= TOLERANCE * self.size) & (
+            point.row_sum + self.size <= TOLERANCE
+        )
+        self.finished = self.finished | (still & clean)
+        settled = (still | (self.tried >= LEVEL_ITERATIONS)) & ~self.finished
+        self.stuck = self.stuck | settled
+        self.penalty = torch.where(settled, 2 * self.penalty, self.penalty)
+        step = self.step * torch.where(accept, GROW, SHRINK)
+        self.step = torch.where(settled, self._first_step(), step)
+        self.tried = torch.where(settled, 0, self.tried)
+
+    def take_stuck(self) -> Tensor:
+        """Which problems ended a level where a constraint is broken, since last asked."""
+        stuck = self.stuck & ~self.finished
+        self.stuck = torch.zeros_like(self.stuck)
+        return stuck
+
+    def _first_step(self) -> Tensor:
+        return 1 / (self.stiffness + 2 * self.penalty)
 
 
 def first_penalty(
