@@ -18,7 +18,7 @@ from mixer_torch.solvers.pair_program import Optimum, PairProgram
 from mixer_torch.solvers.refinement import refine
 
 DECIDED = 1e-6
-PROVEN = 1e-8  # of the largest cost: what is not better by more is not better
+PROVEN = 1e-7  # of the largest cost: what is not better by more is not better
 ROUNDS = 3  # over which a round of cuts has to close a part of the gap, or the node is branched
 WORTH = 0.3
 ASCENT = 0.2  # of the time at most goes into dual ascent
@@ -92,7 +92,7 @@ class BranchAndCut:
         now = time.perf_counter()
         part = 1.0 if len(self.graph) > LARGEST else ASCENT
         deadline = now + part * (self.deadline - now)
-        ascent = ascend(self._cost, self.apart, deadline, self._cutoff())
+        ascent = ascend(self._cost, self.apart, deadline, self._enough())
         node = _Node(ascent.bound, 0, free, free)
         reduced = ascent.reduced[self.program.first, self.program.second]
         self._fix(node, ascent.bound, reduced)
@@ -201,7 +201,11 @@ class BranchAndCut:
         return self.objective - self.step * (1 - DECIDED)
 
     def _is_beaten(self, bound: float) -> bool:
-        return bound >= self._cutoff() - (0.0 if self.step else PROVEN)
+        return bound >= self._enough()
+
+    def _enough(self) -> float:
+        """A bound with which the best clustering is proven."""
+        return self._cutoff() - (0.0 if self.step else PROVEN)
 
     def _strengthened(self, bound: float) -> float:
         """The next multiple of the step: no clustering lies between."""

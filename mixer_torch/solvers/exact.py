@@ -31,7 +31,7 @@ class Exact(Solver):
             and the bound proven so far.
         start: Solver whose answer the search starts from; ``Mixer()`` if None.
 
-    Optimal means: no clustering is better by more than 1e-8 of the largest cost.
+    Optimal means: no clustering is better by more than 1e-7 of the largest cost.
     """
 
     takes_tokens = True
