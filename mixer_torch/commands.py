@@ -260,7 +260,7 @@ def _draw(
     folder: Path, result: Result, fusion: Fusion, video: bool, progress: Progress
 ) -> list[str]:
     """Draw what can be drawn, and say why the rest cannot."""
-    from mixer_torch import frames, montage, plots
+    from mixer_torch import plots
 
     progress("pictures", 0, 3)
     association, observations = result.association, result.observations
@@ -272,14 +272,14 @@ def _draw(
         return ["no pictures of crops and frames: the dataset has no images"]
     if association.labels is None:
         return ["no pictures of crops and frames: the solver gave links and no clusters"]
-    figure = montage.clusters_figure(observations, association.labels)
+    figure = plots.clusters_figure(observations, association.labels)
     plots.save(figure, folder / "clusters.png")
     progress("pictures", 2, 3)
     if observations.images.box is None:
         return ["no picture of frames: each image is one observation"]
-    plots.save(frames.frames_figure(observations, association.labels), folder / "frames.png")
+    plots.save(plots.frames_figure(observations, association.labels), folder / "frames.png")
     if video:
-        frames.write_video(folder / "tracks.mp4", observations, association.labels, progress)
+        plots.write_video(folder / "tracks.mp4", observations, association.labels, progress)
     return []
 
 

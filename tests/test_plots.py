@@ -5,10 +5,19 @@ import torch
 from mixer_torch import plots
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
-from mixer_torch.colors import INK, MISSED, WRONG, by_size, colors, groups, is_wrong, wrong_by_truth
-from mixer_torch.frames import frames_figure, write_video
-from mixer_torch.montage import clusters_figure
 from mixer_torch.observations import Images, Observations, VideoFrames
+from mixer_torch.plots.clusters import clusters_figure
+from mixer_torch.plots.frames import frames_figure, write_video
+from mixer_torch.plots.style import (
+    INK,
+    MISSED,
+    WRONG,
+    by_size,
+    colors,
+    groups,
+    is_wrong,
+    wrong_by_truth,
+)
 
 
 class CountedFrames(list):
@@ -130,11 +139,11 @@ def test_links_without_labels_are_drawn_by_connected_component():
 
 def test_many_observations_are_averaged_in_blocks(monkeypatch):
     labels = np.sort(np.random.default_rng(1).integers(0, 5, 23))
-    full = plots._together(labels)
+    full = plots.affinity._together(labels)
     assert np.array_equal(full, labels[:, None] == labels)
-    monkeypatch.setattr(plots, "LARGEST_MAP", 6)
+    monkeypatch.setattr(plots.affinity, "LARGEST_MAP", 6)
     block = np.arange(23) * 6 // 23
-    np.testing.assert_allclose(plots._together(labels), block_means(full, block))
+    np.testing.assert_allclose(plots.affinity._together(labels), block_means(full, block))
     affinity = Affinity.from_dense(full.astype(float), np.arange(23))
     evidence = drawn(plots.affinity_figure(affinity, found(labels)).axes[0])
     order = np.concatenate([np.flatnonzero(labels == label) for label in by_size(labels)])

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from mixer_torch.calibration_metrics import expected_calibration_error, reliability
-from mixer_torch.colors import INK, MISSED, WRONG
-from mixer_torch.plots import save
+from mixer_torch.plots.style import INK, MISSED, WRONG, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

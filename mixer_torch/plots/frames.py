@@ -9,9 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mixer_torch.colors import FADED, INK, WRONG, colors, wrong_by_truth
 from mixer_torch.observations import Images, Observations
-from mixer_torch.plots import blank_figure
+from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, wrong_by_truth
 from mixer_torch.scoring import Progress
 
 if TYPE_CHECKING:

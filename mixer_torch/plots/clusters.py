@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from mixer_torch.colors import FADED, INK, WRONG, colors, groups, wrong_by_truth
 from mixer_torch.observations import Images, Observations
-from mixer_torch.plots import blank_figure
+from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, groups, wrong_by_truth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

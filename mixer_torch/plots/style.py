@@ -1,11 +1,17 @@
-"""A colour for each cluster, the same in every picture; and what the truth says of a cluster."""
+"""What all pictures share: a colour for each cluster, what the truth says of it, how to save."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
 from mixer_torch.observations import Observations
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 HUES = (45.0, 345.0)
 """Degrees of OKLCh hue in use: the reds left out mean "wrong"."""
@@ -18,6 +24,23 @@ WRONG = (0.86, 0.06, 0.10)
 MISSED = (0.98, 0.72, 0.20)
 FADED = (0.62, 0.62, 0.62)
 INK = (0.13, 0.15, 0.19)
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    figure.savefig(path, format="png", facecolor="white")
+
+
+def blank_figure(text: str) -> Figure:
+    """A picture that says why there is nothing to see."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 2))
+    figure.text(0.5, 0.5, text, ha="center", va="center", color=INK, fontsize=12)
+    return figure
 
 
 def colors(labels: Int64[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:

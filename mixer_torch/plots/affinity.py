@@ -5,7 +5,6 @@ Figures are made object by object, never through pyplot: nothing global is touch
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +14,16 @@ from torch import Tensor
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association
-from mixer_torch.colors import FADED, INK, MISSED, WRONG, by_size, colors
 from mixer_torch.fusion import Fusion
+from mixer_torch.plots.style import (
+    FADED,
+    INK,
+    MISSED,
+    WRONG,
+    blank_figure,
+    by_size,
+    colors,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,14 +32,6 @@ if TYPE_CHECKING:
 DPI = 130
 LARGEST_MAP = 900
 """Cells a side of a heat map; more observations than that are averaged in blocks."""
-
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    figure.savefig(path, format="png", facecolor="white")
 
 
 def affinity_figure(
@@ -186,12 +185,3 @@ def _labels_or_components(association: Association, m: int) -> np.ndarray:
     a, b = association.links.cpu().numpy()
     graph = coo_array((np.ones(len(a)), (a, b)), shape=(m, m))
     return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
-def blank_figure(text: str) -> Figure:
-    """A picture that says why there is nothing to see."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 2))
-    figure.text(0.5, 0.5, text, ha="center", va="center", color=INK, fontsize=12)
-    return figure

@@ -1,0 +1,8 @@
+"""Pictures of a result: its scores, its clusters, its frames. Matplotlib comes with the first."""
+
+from mixer_torch.plots.affinity import affinity_figure
+from mixer_torch.plots.clusters import clusters_figure
+from mixer_torch.plots.frames import frames_figure, write_video
+from mixer_torch.plots.style import save
+
+__all__ = ["affinity_figure", "clusters_figure", "frames_figure", "save", "write_video"]

@@ -1,0 +1,27 @@
+"""What is installed is all that there is."""
+
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_folder_of_code_is_packaged():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    elsewhere = settings["package-dir"]
+    folders = {
+        str(file.parent.relative_to(ROOT)).replace("/", ".")
+        for top in ("mixer_torch", "scorers", "train")
+        for file in (ROOT / top).rglob("__init__.py")
+    }
+    assert {name for name in settings["packages"] if name not in elsewhere} == folders
+    assert all((ROOT / folder / "__init__.py").is_file() for folder in elsewhere.values())
+
+
+def test_constraints_pin_every_dependency():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    names = {line.split(">=")[0].split("[")[0].lower() for line in wanted}
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {line.split("==")[0].lower() for line in lines if "==" in line}
+    assert names <= pinned
