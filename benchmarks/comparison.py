@@ -2,7 +2,7 @@
 
 Every algorithm gets the same affinity. Those that know one score a pair take the mean of the
 modalities' (``Problem.score``). ``SETTINGS`` lists what was tried for each algorithm, its authors'
-defaults first; ``CHOSEN`` is what tuning.py found best for each dataset on a part of it that no
+defaults first; ``CHOSEN``, in chosen.py, is what tuning.py found best for each dataset on a part of it that no
 table shows.
 """
 
@@ -17,6 +17,7 @@ from pathlib import Path
 import torch
 
 import mixer_torch as mx
+from mixer_torch.benchmarks.chosen import CHOSEN
 from mixer_torch.cli import build_parsers
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import evaluate
@@ -83,7 +84,6 @@ SETTINGS = {
     "MIXER (published)": (mx.Mixer, [{"refine": False}]),
     "MIXER": (mx.Mixer, [{}]),
 }
-CHOSEN: dict[str, dict[str, dict]] = {}
 
 
 def algorithms(dataset):

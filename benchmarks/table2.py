@@ -12,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, report
+from mixer_torch.benchmarks.chosen import CHOSEN
 from mixer_torch.benchmarks.comparison import ALL, MODALITIES
 from mixer_torch.datasets.synthetic import synthetic
 
@@ -103,7 +104,7 @@ def settings():
         "frames; the authors' defaults where nothing is said.",
         "",
     ]
-    for dataset, chosen in comparison.CHOSEN.items():
+    for dataset, chosen in CHOSEN.items():
         said = "; ".join(f"{name} {options(setting)}" for name, setting in chosen.items())
         lines.append(f"- {dataset}: {said}")
     return "\n".join(lines)

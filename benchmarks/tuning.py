@@ -3,7 +3,7 @@
 Each setting in ``comparison.SETTINGS`` is run on held-out scenes of each dataset: parking lots of
 other seeds, other frames of PETS and of the hotel, synthetic problems of other seeds. The one of
 the highest mean F1, over each modality alone and all together, is the one to use
-(``comparison.CHOSEN``, whose text comes last).
+(chosen.py, whose text comes last).
 
     mixer bench tuning --out out/benchmarks/tuning
 """

@@ -1,0 +1,48 @@
+"""The settings that tuning.py found best on held-out parts of each dataset."""
+
+CHOSEN = {
+    "cmu_hotel": {
+        "All-pairs": {"threshold": 0.5},
+        "CLEAR": {"evidence": "assignment"},
+        "Consecutive": {"threshold": 0.5},
+        "Hungarian": {"threshold": 0.5},
+        "MatchALS": {"evidence": "assignment"},
+        "MatchEIG": {"evidence": "assignment"},
+        "MatchLift": {"evidence": "score", "sparsity": 0.5},
+        "QuickMatch": {"bandwidth": 0.25, "ratio": 0.67},
+        "Spectral": {"evidence": "assignment"},
+    },
+    "parking_lot": {
+        "All-pairs": {"threshold": 0.6},
+        "CLEAR": {"evidence": "attraction"},
+        "Consecutive": {"threshold": 0.5},
+        "Hungarian": {"threshold": 0.5},
+        "MatchALS": {"evidence": "attraction"},
+        "MatchEIG": {"evidence": "attraction"},
+        "MatchLift": {"evidence": "attraction", "sparsity": None},
+        "QuickMatch": {"bandwidth": 0.25, "ratio": 0.6},
+        "Spectral": {"evidence": "assignment"},
+    },
+    "pets": {
+        "All-pairs": {"threshold": 0.6},
+        "CLEAR": {"evidence": "score"},
+        "Consecutive": {"threshold": 0.5},
+        "Hungarian": {"threshold": 0.6},
+        "MatchALS": {"evidence": "attraction"},
+        "MatchEIG": {"evidence": "match"},
+        "MatchLift": {"evidence": "score", "sparsity": 0.5},
+        "QuickMatch": {"bandwidth": 0.25, "ratio": 0.67},
+        "Spectral": {"evidence": "score"},
+    },
+    "synthetic": {
+        "All-pairs": {"threshold": 0.6},
+        "CLEAR": {"evidence": "score"},
+        "Consecutive": {"threshold": 0.5},
+        "Hungarian": {"threshold": 0.5},
+        "MatchALS": {"evidence": "attraction"},
+        "MatchEIG": {"evidence": "attraction"},
+        "MatchLift": {"evidence": "score", "sparsity": 0.5},
+        "QuickMatch": {"bandwidth": 0.25, "ratio": 0.67},
+        "Spectral": {"evidence": "score"},
+    },
+}
