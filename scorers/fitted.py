@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from mixer_torch.observations import Observations
 from mixer_torch.scoring import Calibrator
@@ -64,8 +64,6 @@ def save_calibrator(
         calibrator: One of :mod:`scorers.calibrators`, or of a class of yours.
         scorer: ``class_path`` and ``init_args`` of the scorer whose evidence it was fitted to.
     """
-    from safetensors.torch import save
-
     kind = type(calibrator)
     settings = {
         "format": FORMAT,
@@ -73,16 +71,45 @@ def save_calibrator(
         "init_args": json.dumps(calibrator.settings),
         "scorer": json.dumps(None if scorer is None else dict(scorer)),
     }
-    tensors = {
-        name: value.detach().cpu().contiguous() for name, value in calibrator.state_dict().items()
-    }
+    write_safetensors(path, calibrator, settings)
+
+
+def write_safetensors(path: str | Path, module: nn.Module, settings: Mapping[str, str]) -> None:
+    """Write the tensors of a module, and settings as metadata: whole or not at all."""
+    from safetensors.torch import save
+
+    state = module.state_dict()
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     path = Path(path)
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_bytes(save(tensors, settings))
+        partial.write_bytes(save(tensors, dict(settings)))
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def read_safetensors(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors and settings of a file that says it is of a kind.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is not safetensors, or of another kind.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path}: not found")
+    try:
+        with safe_open(path, framework="pt") as file:
+            found = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a readable safetensors file: {error}") from error
+    if found.get("format") != kind:
+        got = found.get("format", "of no known kind")
+        raise ValueError(f"{path}: expected a file of kind {kind!r}, got {got!r}")
+    return tensors, found
 
 
 def load_calibrator(path: str | Path) -> tuple[LikelihoodRatio, dict[str, Any] | None]:
@@ -91,19 +118,7 @@ def load_calibrator(path: str | Path) -> tuple[LikelihoodRatio, dict[str, Any] |
     Nothing that the file names is imported or run: its class must be in
     :mod:`scorers.calibrators`, or be a subclass of ``LikelihoodRatio`` that is imported already.
     """
-    from safetensors import SafetensorError, safe_open
-
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"calibrator {path}: not found")
-    try:
-        with safe_open(path, framework="pt") as file:
-            found = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(f"{path} is not a readable safetensors file: {error}") from error
-    if found.get("format") != FORMAT:
-        kind = found.get("format", "of no known kind")
-        raise ValueError(f"{path}: expected a file of kind {FORMAT!r}, got {kind!r}")
+    tensors, found = read_safetensors(path, FORMAT)
     known = _known_classes()
     if found["class_path"] not in known:
         raise ValueError(

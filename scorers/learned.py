@@ -1,0 +1,156 @@
+"""One score from the evidence of several modalities: a learned alternative to a fixed fusion."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from mixer_torch.observations import Observations
+from mixer_torch.scoring import Calibrator, Scorer, unique_names
+from scorers.calibration import Logistic
+from scorers.covariates import Covariates
+from scorers.fitted import log_ratio_of, read_safetensors, write_safetensors
+from scorers.proximity import Proximity
+
+FORMAT = "mixer-torch pair network 1"
+SURE = 8.0
+"""Largest log likelihood ratio that goes in or comes out, nats."""
+
+
+class EvidenceNetwork(nn.Module):
+    """r = Σ_k w_k r_k + f(r_1, …, r_l, which are there, φ(c)): naive Bayes and a correction.
+
+    r_k is the log likelihood ratio of modality k, 0 where it has nothing to say; f is a network of
+    one hidden layer that starts as 0, so that before training the answer is that of log-odds
+    fusion with weights of 1.
+
+    Args:
+        modalities: l.
+        covariates: Names of :data:`scorers.covariates.COVARIATES`.
+        width: Units of the hidden layer.
+    """
+
+    def __init__(self, modalities: int, covariates: Sequence[str] = (), width: int = 32) -> None:
+        super().__init__()
+        self.covariates = Covariates(covariates)
+        self.weights = nn.Parameter(torch.ones(modalities))
+        inputs = 2 * modalities + 2 * len(self.covariates)
+        self.hidden = nn.Linear(inputs, width)
+        self.out = nn.Linear(width, 1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(
+        self, ratios: Float[Tensor, "l P"], covariates: Float[Tensor, "P c"]
+    ) -> Float[Tensor, " P"]:
+        """Log likelihood ratios (P,) in nats; NaN where no modality has anything to say.
+
+        Args:
+            ratios: Of each modality, NaN where it has nothing to say.
+            covariates: Raw values.
+        """
+        says = ~ratios.isnan()
+        known = ratios.where(says, ratios.new_zeros(())).clamp(-SURE, SURE)
+        columns = self.covariates.columns(covariates).to(known)
+        inputs = torch.cat([known.T / 2, says.T.to(known), columns], 1)
+        correction = self.out(torch.tanh(self.hidden(inputs)))[:, 0]
+        ratio = (self.weights @ known + correction).clamp(-SURE, SURE)
+        return ratio.where(says.any(0), ratio.new_full((), torch.nan))
+
+
+class PairNetwork(Scorer):
+    """One calibrated score of all that is known of a pair, by a small learned network.
+
+    Args:
+        path: What ``mixer-train`` wrote; untrained, which is naive Bayes, if None.
+        scorers: The modalities that it was trained with, in that order, with their calibrators;
+            :class:`~scorers.proximity.Proximity` alone if None.
+        covariates: Names of covariates, for an untrained one; a file says its own.
+        calibrator: Takes the place of the sigmoid of the log likelihood ratio.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is something else, or of other modalities.
+    """
+
+    def __init__(
+        self,
+        path: str | Path | None = None,
+        scorers: Sequence[Scorer] | None = None,
+        covariates: Sequence[str] = (),
+        calibrator: Calibrator | None = None,
+    ) -> None:
+        super().__init__(calibrator or Logistic(1.0, 0.0))
+        self.scorers = nn.ModuleList([Proximity()] if scorers is None else scorers)
+        names = unique_names([scorer.name for scorer in self._parts()])
+        if path is None:
+            self.network = EvidenceNetwork(len(names), covariates)
+        else:
+            self.network = load_network(path, names)
+        needs = [
+            key for scorer in self._parts() for key in (*scorer.needs, *scorer.calibrator.needs)
+        ]
+        self.needs = tuple(dict.fromkeys([*needs, *self.network.covariates.needs]))
+        self.chunk = min(scorer.chunk for scorer in self._parts())
+
+    def _parts(self) -> list[Any]:
+        return list(self.scorers)
+
+    def describe(self, observations: Observations) -> tuple[Any, ...]:
+        """What each scorer and its calibrator describe, and the features of the covariates."""
+        parts = [
+            (scorer.describe(observations), scorer.calibrator.describe(observations))
+            for scorer in self._parts()
+        ]
+        return (*parts, self.network.covariates.describe(observations))
+
+    def compare(self, description: tuple[Any, ...], pairs: Tensor) -> Tensor:
+        *parts, features = description
+        rows = []
+        for scorer, (described, circumstances) in zip(self._parts(), parts, strict=True):
+            evidence = scorer.compare(described, pairs)
+            says = ~evidence.isnan()
+            finite = evidence.where(says, evidence.new_zeros(()))
+            score = scorer.calibrator.calibrate(finite, circumstances, pairs)
+            ratio = log_ratio_of(score)
+            rows.append(ratio.where(says, ratio.new_full((), torch.nan)).float())
+        return self.network(torch.stack(rows), self.network.covariates.of(features, pairs))
+
+
+def save_network(path: str | Path, network: EvidenceNetwork, modalities: Sequence[str]) -> None:
+    """Write a safetensors file with the names of the modalities and covariates."""
+    settings = {
+        "format": FORMAT,
+        "modalities": json.dumps(list(modalities)),
+        "covariates": json.dumps(list(network.covariates.names)),
+        "width": str(network.hidden.out_features),
+    }
+    write_safetensors(path, network, settings)
+
+
+def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceNetwork:
+    """Read what :func:`save_network` wrote.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is something else, or of other modalities.
+    """
+    tensors, settings = read_safetensors(path, FORMAT)
+    names = json.loads(settings["modalities"])
+    if list(modalities) != names:
+        raise ValueError(
+            f"{path}: trained for the scorers {', '.join(names)}, got {', '.join(modalities)}"
+        )
+    covariates = json.loads(settings["covariates"])
+    network = EvidenceNetwork(len(names), covariates, int(settings["width"]))
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return network.requires_grad_(False)
