@@ -2,8 +2,8 @@
 
 Every algorithm gets the same affinity. Those that know one score a pair take the mean of the
 modalities' (``Problem.score``). ``SETTINGS`` lists what was tried for each algorithm, its authors'
-defaults first; ``CHOSEN``, in chosen.py, is what tuning.py found best for each dataset on a part of it that no
-table shows.
+defaults first; ``CHOSEN``, in chosen.py, is what tuning.py found best for each dataset on a part of
+it that no table shows.
 """
 
 import csv
