@@ -85,7 +85,11 @@ class PairData(LightningDataModule):
 
     def setup(self, stage: str) -> None:
         """Compare the pairs; what testing does not need is left out when only testing."""
-        self.tables("train")
+        evidence = torch.cat([table.evidence for table in self.tables("train")], 1)
+        for scorer, row in zip(self.scorers, evidence, strict=True):
+            if not bool(row.isfinite().any()):
+                needed = ", ".join(scorer.needs)
+                raise ValueError(f"train: {scorer.name} (needs {needed}) has no evidence anywhere")
         self.tables("validate")
         if stage == "test":
             self.tables("test")

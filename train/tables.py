@@ -17,7 +17,7 @@ from torch import Tensor
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations, load_npz, save_npz
 from mixer_torch.pairs import PairSelector
-from mixer_torch.scoring import Scorer, check_needs, unique_names
+from mixer_torch.scoring import Scorer, unique_names
 from scorers.covariates import COVARIATES, Covariates
 
 FORMAT = "mixer-torch evidence 1"
@@ -87,6 +87,8 @@ def pair_table(
 ) -> PairTable:
     """Compare the pairs of a dataset in every modality, or read what was kept of that.
 
+    A modality has nothing to say of a sequence that lacks a feature which it needs.
+
     Args:
         dataset: Observations with identities.
         scorers: One for each modality; their calibrators are not used.
@@ -94,14 +96,12 @@ def pair_table(
         cache: Folder in which evidence is kept, by what it was made from; none if None.
 
     Raises:
-        KeyError: A feature is missing.
+        KeyError: There are no images, and a scorer needs them.
         ValueError: The observations have no identities.
     """
     seen = dataset.load()
     if "identity" not in seen.features:
         raise ValueError(f"{type(dataset).__name__}: training needs the feature 'identity'")
-    for scorer in scorers:
-        check_needs(scorer, seen)
     pairs = selector(seen)
     rows = [_evidence(dataset, scorer, seen, pairs, cache) for scorer in scorers]
     identity = seen["identity"]
@@ -133,6 +133,8 @@ def modality_names(scorers: Sequence[Scorer]) -> tuple[str, ...]:
 def _evidence(
     dataset: Dataset, scorer: Scorer, seen: Observations, pairs: Tensor, cache: Path | None
 ) -> Tensor:
+    if any(key not in seen.features and key != "images" for key in scorer.needs):
+        return torch.full((pairs.shape[1],), torch.nan)
     path = None if cache is None else cache / f"{_fingerprint(dataset, scorer, seen, pairs)}.npz"
     if path is not None and path.is_file():
         return torch.from_numpy(load_npz(path, FORMAT)["evidence"])

@@ -1,0 +1,167 @@
+"""Appearance as a vector: a learned network over crops, or vectors that were computed elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from mixer_torch.observations import Images, Observations
+from mixer_torch.scoring import Calibrator, Scorer
+from scorers.calibration import Logistic
+from scorers.fitted import read_safetensors, write_safetensors
+
+FORMAT = "mixer-torch embedding 1"
+BATCH = 128
+"""Crops embedded at a time."""
+
+
+class EmbeddingNetwork(nn.Module):
+    """A compact convolutional network from crops to unit vectors.
+
+    Each image is brought to mean 0 and variance 1 in each channel first, which takes off colour
+    casts of cameras; features are pooled in strips from top to bottom, so that shirt and trousers
+    do not mix.
+
+    Args:
+        dimension: Of the vectors.
+        width: Channels of the first block; later ones have 2, 4 and 6 times as many.
+        strips: Strips from top to bottom.
+    """
+
+    def __init__(self, dimension: int = 128, width: int = 24, strips: int = 4) -> None:
+        super().__init__()
+        self.settings = {"dimension": dimension, "width": width, "strips": strips}
+        channels = [3, width, 2 * width, 4 * width, 6 * width]
+        blocks: list[nn.Module] = [nn.InstanceNorm2d(3)]
+        for k, (before, after) in enumerate(pairwise(channels)):
+            stride = 2 if k < 3 else 1
+            blocks += [
+                nn.Conv2d(before, after, 3, stride, 1, bias=False),
+                nn.InstanceNorm2d(after, affine=True) if k == 0 else nn.BatchNorm2d(after),
+                nn.ReLU(inplace=True),
+            ]
+        self.features = nn.Sequential(*blocks)
+        self.pool = nn.AdaptiveAvgPool2d((strips, 1))
+        self.head = nn.Linear(channels[-1] * strips, dimension)
+
+    def forward(self, crops: Float[Tensor, "B 3 height width"]) -> Float[Tensor, "B d"]:
+        """Unit vectors of RGB crops with values in [0, 1]."""
+        pooled = self.pool(self.features(crops)).flatten(1)
+        return nn.functional.normalize(self.head(pooled), dim=1)
+
+
+class Embedding(Scorer):
+    """Same look, same object: the cosine of two appearance vectors.
+
+    Args:
+        path: Where the vectors come from: a ``.safetensors`` file that ``mixer-train`` wrote, or a
+            network of your own as TorchScript (``.pt``, ``.ts``) or ONNX (``.onnx``), which takes
+            (B, 3, height, width) RGB in [0, 1] and returns (B, d). If None, the feature is used.
+        feature: Vectors that were computed elsewhere.
+        height: Pixels that crops are brought to for a network.
+        width: Pixels that crops are brought to for a network.
+        slope: Log likelihood ratio gained by a unit of cosine, nats, set by hand.
+        midpoint: Cosine at which the score is 0.5, set by hand.
+        calibrator: Takes the place of the one set by hand.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is of no kind that is known, or a size is not positive.
+    """
+
+    chunk = 1 << 14
+
+    def __init__(
+        self,
+        path: str | Path | None = None,
+        feature: str = "embedding",
+        height: int = 128,
+        width: int = 48,
+        slope: float = 8.0,
+        midpoint: float = 0.5,
+        calibrator: Calibrator | None = None,
+    ) -> None:
+        super().__init__(calibrator or Logistic(slope, midpoint, 0.02, 0.98))
+        if height < 1 or width < 1:
+            raise ValueError(f"height, width: expected integers >= 1, got {height}, {width}")
+        self.path = path
+        self.height, self.width = height, width
+        self.needs = (feature,) if path is None else ("images",)
+        self.network = None if path is None else load_embedder(Path(path))
+
+    def describe(self, observations: Observations) -> Tensor:
+        """(m, d) unit vectors; NaN where there is none."""
+        if self.network is None:
+            value = observations[self.needs[0]].flatten(1)
+            value = value if value.is_floating_point() else value.float()
+            return nn.functional.normalize(value, dim=1)
+        device = observations.device
+        crops = crops_of(observations.images, (self.height, self.width))
+        with torch.no_grad():
+            found = [self.network(part.to(device)) for part in crops.split(BATCH)]
+        vectors = torch.cat(found).float() if len(crops) else torch.zeros(0, 1, device=device)
+        return nn.functional.normalize(vectors.to(device), dim=1)
+
+    def compare(self, description: Tensor, pairs: Tensor) -> Tensor:
+        return (description[pairs[0]] * description[pairs[1]]).sum(1)
+
+
+def crops_of(images: Images | None, size: Sequence[int]) -> Float[Tensor, "m 3 height width"]:
+    """All crops, brought to one (height, width), with values in [0, 1]."""
+    import cv2
+
+    height, width = size
+    found = torch.zeros(0 if images is None else len(images), 3, height, width)
+    for i, crop in images.crops() if images is not None else ():
+        resized = cv2.resize(np.ascontiguousarray(crop), (width, height))
+        found[i] = torch.from_numpy(resized).permute(2, 0, 1).float() / 255
+    return found
+
+
+def load_embedder(path: Path) -> Callable[[Tensor], Tensor]:
+    """A function from crops to vectors, by the ending of the file."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: not found")
+    if path.suffix == ".safetensors":
+        tensors, settings = read_safetensors(path, FORMAT)
+        sizes = {key: int(settings[key]) for key in ("dimension", "width", "strips")}
+        network = EmbeddingNetwork(**sizes)
+        network.load_state_dict(tensors)
+        return network.eval().requires_grad_(False)
+    if path.suffix in (".pt", ".ts"):
+        try:
+            return torch.jit.load(path, map_location="cpu").eval()
+        except RuntimeError as error:
+            raise ValueError(f"{path} is not a readable TorchScript file: {error}") from error
+    if path.suffix == ".onnx":
+        return _OnnxNetwork(path)
+    raise ValueError(f"path: expected .safetensors, .pt, .ts or .onnx, got {path}")
+
+
+class _OnnxNetwork:
+    """An ONNX file run by OpenCV, on the CPU."""
+
+    def __init__(self, path: Path) -> None:
+        import cv2
+
+        try:
+            self._net: Any = cv2.dnn.readNetFromONNX(str(path))
+        except cv2.error as error:
+            raise ValueError(f"{path} is not a readable ONNX file: {error}") from error
+
+    def __call__(self, crops: Tensor) -> Tensor:
+        self._net.setInput(crops.cpu().numpy())
+        return torch.from_numpy(self._net.forward().copy())
+
+
+def save_embedding(path: str | Path, network: EmbeddingNetwork) -> None:
+    """Write a safetensors file that :class:`Embedding` takes."""
+    settings = {key: str(value) for key, value in network.settings.items()}
+    write_safetensors(path, network, {"format": FORMAT, **settings})
