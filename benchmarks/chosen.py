@@ -25,13 +25,13 @@ CHOSEN = {
     },
     "pets": {
         "All-pairs": {"threshold": 0.6},
-        "CLEAR": {"evidence": "score"},
+        "CLEAR": {"evidence": "attraction"},
         "Consecutive": {"threshold": 0.5},
-        "Hungarian": {"threshold": 0.6},
-        "MatchALS": {"evidence": "attraction"},
-        "MatchEIG": {"evidence": "match"},
+        "Hungarian": {"threshold": 0.5},
+        "MatchALS": {"evidence": "score"},
+        "MatchEIG": {"evidence": "assignment"},
         "MatchLift": {"evidence": "score", "sparsity": 0.5},
-        "QuickMatch": {"bandwidth": 0.25, "ratio": 0.67},
+        "QuickMatch": {"bandwidth": 0.5, "ratio": 0.67},
         "Spectral": {"evidence": "score"},
     },
     "synthetic": {

@@ -48,7 +48,7 @@ ALL = "+".join(MODALITIES)
 REAL = ("pets", "cmu_hotel")
 HELD_OUT = {  # what settings are chosen on: other seeds, other frames
     "parking_lot": ("--dataset.seed=100", "--dataset.seed=101"),
-    "pets": ("--dataset.start=10 --dataset.stop=150",),
+    "pets": ("--dataset.start=1 --dataset.stop=150 --dataset.step=5 --pairs.window=15",),
     "cmu_hotel": ("--dataset.start=5",),
 }
 SYNTHETIC = "synthetic"
