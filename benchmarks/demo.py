@@ -117,13 +117,13 @@ def table(path):
     return "\n".join(lines)
 
 
-def main():
+def main(argv=None):
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/demo"))
     parser.add_argument("--quick", action="store_true", help="20 frames in place of 100")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = []
     m, f1, _ = run(rows, 20 if arguments.quick else 100)

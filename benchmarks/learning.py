@@ -201,14 +201,14 @@ def table(rows):
     return "\n".join(lines)
 
 
-def main():
+def main(argv=None):
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/learning"))
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--only", choices=("parking_lot", "real"))
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     arguments.out.mkdir(parents=True, exist_ok=True)
     cache = arguments.out / "evidence"
     rows = []

@@ -151,14 +151,14 @@ def naive_lines(rows):
         yield f"| {views} | {slow:.2f} | {proven}/{len(group)} | {fast:.2f} | {slow / fast:.1f} |"
 
 
-def main():
+def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--quick", action="store_true", help="2 trials of n_o = 2, 6, 12")
     parser.add_argument("--trials", type=int, default=50, help="of each number of views")
     parser.add_argument("--time_limit", type=float, default=120.0, help="of Exact, seconds")
     parser.add_argument("--naive_limit", type=float, default=60.0, help="of the naive formulation")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     arguments.out.mkdir(parents=True, exist_ok=True)
     trials, naive_trials = (2, 1) if arguments.quick else (arguments.trials, 3)
     exact = mx.Exact(time_limit=arguments.time_limit)
