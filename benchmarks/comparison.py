@@ -6,6 +6,7 @@ defaults first; ``CHOSEN``, in chosen.py, is what tuning.py found best for each 
 it that no table shows.
 """
 
+import argparse
 import csv
 import os
 import statistics
@@ -264,6 +265,28 @@ def mean(rows, key):
 def spread(rows, key):
     """Standard deviation over the rows, 0 for one."""
     return statistics.stdev(row[key] for row in rows) if len(rows) > 1 else 0.0
+
+
+def arguments(module, argv, quick, **numbers):
+    """Arguments of a benchmark: --out, --quick, --from_rows, and whole numbers with a default.
+
+    Args:
+        module: Its file, which names its folder, and its docstring.
+        argv: What was given; that of the process if None.
+        quick: What --quick does.
+        numbers: (default, help) by name.
+    """
+    path, text = module
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawTextHelpFormatter
+    )
+    folder = Path("out", "benchmarks", Path(path).stem)
+    parser.add_argument("--out", type=Path, default=folder)
+    parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--from_rows", action="store_true", help="only make tables and figures")
+    for name, (default, help_) in numbers.items():
+        parser.add_argument(f"--{name}", type=int, default=default, help=help_)
+    return parser.parse_args(argv)
 
 
 def machine():

@@ -6,9 +6,6 @@ of their strength. Everything but rows.csv is made from it.
     mixer bench figure_ablation --out out/benchmarks/figure_ablation
 """
 
-import argparse
-from pathlib import Path
-
 from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, report
@@ -65,14 +62,8 @@ def make(out):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/figure_ablation"))
-    parser.add_argument("--quick", action="store_true", help="one short drive")
-    parser.add_argument("--seeds", type=int, default=5, help="parking lots")
-    parser.add_argument("--from_rows", action="store_true", help="only make table and figure")
-    arguments = parser.parse_args(argv)
+    quick = "one short drive"
+    arguments = comparison.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
     if not arguments.from_rows:
         comparison.warm_up()
         seeds = range(1 if arguments.quick else arguments.seeds)

@@ -7,9 +7,6 @@ than 1 where the scores mislead. Everything but rows.csv is made from it.
     mixer bench robustness --out out/benchmarks/robustness
 """
 
-import argparse
-from pathlib import Path
-
 from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, report
@@ -68,14 +65,10 @@ def make(out):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    quick = "3 trials, every other value"
+    arguments = comparison.arguments(
+        (__file__, __doc__), argv, quick, trials=(20, "problems a point")
     )
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/robustness"))
-    parser.add_argument("--quick", action="store_true", help="3 trials, every other value")
-    parser.add_argument("--trials", type=int, default=20, help="problems for each point")
-    parser.add_argument("--from_rows", action="store_true", help="only make table and figure")
-    arguments = parser.parse_args(argv)
     if not arguments.from_rows:
         comparison.warm_up()
         rows = run(3 if arguments.quick else arguments.trials, arguments.quick)

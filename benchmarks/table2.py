@@ -6,9 +6,6 @@ against the number of observations m. Everything but rows.csv and failures.csv i
     mixer bench table2 --out out/benchmarks/table2
 """
 
-import argparse
-from pathlib import Path
-
 from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, report
@@ -53,14 +50,8 @@ def run_sizes(sizes):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/table2"))
-    parser.add_argument("--quick", action="store_true", help="one short drive, small sizes")
-    parser.add_argument("--seeds", type=int, default=5, help="parking lots")
-    parser.add_argument("--from_rows", action="store_true", help="only make tables and figures")
-    arguments = parser.parse_args(argv)
+    quick = "one short drive, small sizes"
+    arguments = comparison.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
     if not arguments.from_rows:
         comparison.warm_up()
         rows, failures = run(arguments.quick, range(1 if arguments.quick else arguments.seeds))

@@ -8,10 +8,8 @@ the highest mean F1, over each modality alone and all together, is the one to us
     mixer bench tuning --out out/benchmarks/tuning
 """
 
-import argparse
 import json
 import pprint
-from pathlib import Path
 
 from tqdm import tqdm
 
@@ -34,13 +32,7 @@ def run(num_frames):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/tuning"))
-    parser.add_argument("--quick", action="store_true", help="40 frames in place of 100")
-    parser.add_argument("--from_rows", action="store_true", help="only make the tables")
-    arguments = parser.parse_args(argv)
+    arguments = comparison.arguments((__file__, __doc__), argv, "40 frames in place of 100")
     if not arguments.from_rows:
         rows = run(40 if arguments.quick else 100)
         comparison.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
