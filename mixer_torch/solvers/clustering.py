@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import NONE, compiled, inner
 
 
 class Clustering(NamedTuple):
@@ -27,6 +27,7 @@ class Clustering(NamedTuple):
         holder: (k, T) which member carries a token, -1 if none does.
         stamp: (k,) when each slot last changed.
         number: (2,) slots in use; the clock.
+        listed: (2, k) scratch: slots that are gone through while slots change.
     """
 
     weight: np.ndarray
@@ -43,6 +44,7 @@ class Clustering(NamedTuple):
     holder: np.ndarray
     stamp: np.ndarray
     number: np.ndarray
+    listed: np.ndarray
 
 
 @compiled
@@ -56,24 +58,41 @@ def build(weight, token_start, token, label):  # type: ignore[no-untyped-def]
         weight,
         token_start,
         token,
-        np.full(n, -1, np.int64),
-        np.zeros((n + 1, n)),
-        np.zeros(n + 1, np.int64),
-        np.full(n + 1, -1, np.int64),
-        np.full(n, -1, np.int64),
-        np.full(n, -1, np.int64),
-        np.arange(n + 1),
-        np.arange(n + 1),
-        np.full((n + 1, tokens), -1, np.int64),
-        np.zeros(n + 1, np.int64),
-        np.zeros(2, np.int64),
+        np.empty(n, np.int64),
+        np.empty((n + 1, n)),
+        np.empty(n + 1, np.int64),
+        np.empty(n + 1, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n + 1, np.int64),
+        np.empty(n + 1, np.int64),
+        np.empty((n + 1, tokens), np.int64),
+        np.empty(n + 1, np.int64),
+        np.empty(2, np.int64),
+        np.empty((2, n + 1), np.int64),
     )
-    for i in range(n):
-        enter(state, i, label[i])
+    _fill(state, label)
     return state
 
 
-@compiled
+@inner
+def _fill(state, label):  # type: ignore[no-untyped-def]
+    """Empty slots, which the nodes enter one after the other."""
+    n, tokens = state.total.shape[1], state.holder.shape[1]
+    for c in range(n + 1):
+        state.size[c] = state.stamp[c] = 0
+        state.head[c] = -1
+        state.slot[c] = state.place[c] = c
+        for i in range(n):
+            state.total[c, i] = 0.0
+        for t in range(tokens):
+            state.holder[c, t] = -1
+    state.number[0] = state.number[1] = 0
+    for i in range(n):
+        enter(state, i, label[i])
+
+
+@inner
 def enter(state, i, c):  # type: ignore[no-untyped-def]
     """Node i, which is in no slot, joins slot c."""
     if state.size[c] == 0:
@@ -87,14 +106,15 @@ def enter(state, i, c):  # type: ignore[no-untyped-def]
     if first >= 0:
         state.before[first] = i
     state.head[c] = i
-    state.total[c] += state.weight[i]
+    for j in range(len(state.label)):
+        state.total[c, j] += state.weight[i, j]
     for e in range(state.token_start[i], state.token_start[i + 1]):
         state.holder[c, state.token[e]] = i
     state.number[1] += 1
     state.stamp[c] = state.number[1]
 
 
-@compiled
+@inner
 def leave(state, i):  # type: ignore[no-untyped-def]
     """Node i leaves its slot and is in none.
 
@@ -116,28 +136,38 @@ def leave(state, i):  # type: ignore[no-untyped-def]
     state.number[1] += 1
     state.stamp[c] = state.number[1]
     if state.size[c] == 0:
-        state.total[c] = 0.0
+        for j in range(len(state.label)):
+            state.total[c, j] = 0.0
         state.number[0] -= 1
         _swap_place(state, c, state.number[0])
     else:
-        state.total[c] -= state.weight[i]
+        for j in range(len(state.label)):
+            state.total[c, j] -= state.weight[i, j]
 
 
-@compiled
+@inner
 def _swap_place(state, c, position):  # type: ignore[no-untyped-def]
     other, old = state.slot[position], state.place[c]
     state.slot[position], state.slot[old] = c, other
     state.place[c], state.place[other] = position, old
 
 
-@compiled
+@inner
+def list_slots(state, listed):  # type: ignore[no-untyped-def]
+    """Write the slots in use to a list; returns their number."""
+    for p in range(state.number[0]):
+        listed[p] = state.slot[p]
+    return state.number[0]
+
+
+@inner
 def move(state, i, c):  # type: ignore[no-untyped-def]
     """Node i goes to slot c."""
     leave(state, i)
     enter(state, i, c)
 
 
-@compiled
+@inner
 def fits(state, i, c):  # type: ignore[no-untyped-def]
     """Whether slot c holds none of the tokens of node i."""
     for e in range(state.token_start[i], state.token_start[i + 1]):
@@ -146,7 +176,7 @@ def fits(state, i, c):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@inner
 def restore(state, label):  # type: ignore[no-untyped-def]
     """Back to labels that were saved."""
     for i in range(len(label)):
@@ -154,7 +184,7 @@ def restore(state, label):  # type: ignore[no-untyped-def]
             move(state, i, label[i])
 
 
-@compiled
+@inner
 def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
     """Move single nodes to where they cost least, until none gains by it.
 
@@ -163,8 +193,7 @@ def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
     Returns:
         The change of the cost.
     """
-    n, gained = len(state.label), 0.0
-    changed = np.empty(n + 1, np.int64)
+    n, gained, changed = len(state.label), 0.0, state.listed[0]
     while True:
         now, count = state.number[1], 0
         for p in range(state.number[0]):
@@ -176,7 +205,7 @@ def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
         for i in range(n):
             own = state.label[i]
             stay = state.total[own, i]
-            best, target = stay - tiny, -1
+            best, target = stay - tiny, NONE
             if best > 0 and state.size[own] > 1:
                 best, target = 0.0, state.slot[state.number[0]]
             everywhere = state.stamp[own] > since
@@ -190,14 +219,15 @@ def relocate(state, since, tiny):  # type: ignore[no-untyped-def]
         since = now
 
 
-@compiled
+@inner
 def merge(state, since, tiny):  # type: ignore[no-untyped-def]
     """Unite the pairs of slots that cost less as one; each changed slot with its best partner."""
     gained = 0.0
-    for c in state.slot[: state.number[0]].copy():
+    for q in range(list_slots(state, state.listed[0])):
+        c = state.listed[0, q]
         if state.stamp[c] <= since or state.size[c] == 0:
             continue
-        best, target = -tiny, -1
+        best, target = -tiny, NONE
         for p in range(state.number[0]):
             other = state.slot[p]
             if other != c:
@@ -211,7 +241,7 @@ def merge(state, since, tiny):  # type: ignore[no-untyped-def]
     return gained
 
 
-@compiled
+@inner
 def _between(state, c, other):  # type: ignore[no-untyped-def]
     cost, i = 0.0, state.head[c]
     while i >= 0:
@@ -220,7 +250,7 @@ def _between(state, c, other):  # type: ignore[no-untyped-def]
     return cost
 
 
-@compiled
+@inner
 def _compatible(state, c, other):  # type: ignore[no-untyped-def]
     i = state.head[c]
     while i >= 0:

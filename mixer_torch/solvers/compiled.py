@@ -13,6 +13,8 @@ from typing import Any
 import numba
 import numpy as np
 
+# in place of a node or slot; a plain -1 would be a type of its own to numba
+NONE: Any = np.int64(-1)
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
@@ -27,7 +29,7 @@ def _version() -> str:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         text = path.read_bytes()
-        if b"@compiled" in text:
+        if b"@compiled" in text or b"@inner" in text:
             digest.update(text)
     return digest.hexdigest()
 
@@ -36,10 +38,18 @@ _VERSION = _version()
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile when first called, and keep the machine code on disk where there is room for it.
+    """Compile when first called, and keep the machine code on disk where there is room for it."""
+    return _compiled(function)
 
-    The version of the sources becomes a closure variable, which numba makes part of the key under
-    which it keeps the code.
+
+def inner(function: Callable[..., Any]) -> Any:
+    """Compile what only kernels call and what makes no array: less code, no reference counts."""
+    return _compiled(function, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    """The version of the sources becomes a closure variable, which numba makes part of the key
+    under which it keeps the code.
     """
     function = unwrap(function)  # from the checks of shapes while tests run
     code = function.__code__
@@ -48,13 +58,14 @@ def compiled(function: Callable[..., Any]) -> Any:
     versioned = FunctionType(code, function.__globals__, function.__name__, None, closure)
     update_wrapper(versioned, function)
     del versioned.__wrapped__  # type: ignore[attr-defined]
+    options = {"nogil": True, "error_model": "numpy", **options}
     try:
-        return numba.njit(cache=True, nogil=True)(versioned)
+        return numba.njit(cache=True, **options)(versioned)
     except RuntimeError:  # numba finds no folder that it may write to
-        return numba.njit(nogil=True)(versioned)
+        return numba.njit(**options)(versioned)
 
 
-@compiled
+@inner
 def mix(value: np.uint64) -> np.uint64:
     """A hash of 64 bits (the finaliser of splitmix64; Steele, Lea, Flood, OOPSLA 2014)."""
     value = (value ^ (value >> np.uint64(30))) * _MIX_1
@@ -62,14 +73,14 @@ def mix(value: np.uint64) -> np.uint64:
     return value ^ (value >> np.uint64(31))
 
 
-@compiled
+@inner
 def draw(state: np.ndarray, bound: int) -> np.int64:
     """A random integer in 0..bound-1; the state is (1,) uint64 and moves on by one step."""
     state[0] += _GOLDEN
     return np.int64(mix(state[0]) % np.uint64(bound))
 
 
-@compiled
+@inner
 def shuffle(state: np.ndarray, items: np.ndarray, count: int) -> None:
     """Put the first count items in random order, in place."""
     for i in range(count - 1, 0, -1):

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.clustering import enter, leave
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.clustering import enter, leave, list_slots
+from mixer_torch.solvers.compiled import NONE, compiled, inner
 
 
 class Exchange(NamedTuple):
@@ -52,7 +52,7 @@ def exchange_scratch(n):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@inner
 def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
     """Exchange between each changed slot and every slot that attracts it, an empty one included.
 
@@ -60,10 +60,14 @@ def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
         The change of the cost.
     """
     gained = 0.0
-    for c in state.slot[: state.number[0]].copy():
+    for p in range(list_slots(state, state.listed[0])):
+        c = state.listed[0, p]
         if state.stamp[c] <= since or state.size[c] == 0:
             continue
-        for other in state.slot[: state.number[0] + 1].copy():
+        others = list_slots(state, state.listed[1])
+        state.listed[1, others] = state.slot[others]
+        for q in range(others + 1):
+            other = state.listed[1, q]
             if state.size[c] == 0:
                 break
             empty = state.size[other] == 0
@@ -76,7 +80,7 @@ def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
     return gained
 
 
-@compiled
+@inner
 def _attracted(state, c, other):  # type: ignore[no-untyped-def]
     i = state.head[c]
     while i >= 0:
@@ -86,7 +90,7 @@ def _attracted(state, c, other):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled
+@inner
 def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-def]
     """The best prefix of a chain of changes of side, each the cheapest that is left.
 
@@ -103,7 +107,7 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
     _flips(state, scratch, count, units)
     cost, best, length = 0.0, -tiny, 0
     for step in range(units):
-        chosen = -1
+        chosen = NONE
         for u in range(units):
             if not scratch.locked[u] and (chosen < 0 or scratch.flip[u] < scratch.flip[chosen]):
                 chosen = u
@@ -116,14 +120,15 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
             _change_sides(state, scratch, chosen, count)
     if length == 0:
         return 0.0
-    scratch.locked[:units] = False
+    for u in range(units):
+        scratch.locked[u] = False
     for step in range(length):
         scratch.locked[scratch.chain[step]] = True
     _apply(state, scratch, first, second, count)
     return best
 
 
-@compiled
+@inner
 def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
     count = 0
     for side in range(2):
@@ -139,10 +144,11 @@ def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
     return count
 
 
-@compiled
+@inner
 def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def]
     """Connected components of "shares a token", numbered 0..units-1."""
-    scratch.unit[:count] = -1
+    for p in range(count):
+        scratch.unit[p] = -1
     units = 0
     for p in range(count):
         if scratch.unit[p] >= 0:
@@ -165,11 +171,12 @@ def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def
     return units
 
 
-@compiled
+@inner
 def _flips(state, scratch, count, units):  # type: ignore[no-untyped-def]
     """What it costs each unit to change sides: its nodes' gains, less what they count twice."""
-    scratch.flip[:units] = 0.0
-    scratch.locked[:units] = False
+    for u in range(units):
+        scratch.flip[u] = 0.0
+        scratch.locked[u] = False
     for p in range(count):
         u = scratch.unit[p]
         scratch.flip[u] += scratch.gain[p]
@@ -180,23 +187,22 @@ def _flips(state, scratch, count, units):  # type: ignore[no-untyped-def]
                     scratch.flip[u] += twice if scratch.side[p] == scratch.side[q] else -twice
 
 
-@compiled
+@inner
 def _change_sides(state, scratch, chosen, count):  # type: ignore[no-untyped-def]
     for p in range(count):
         if scratch.unit[p] != chosen:
             continue
-        row = state.weight[scratch.node[p]]
         for q in range(count):
             u = scratch.unit[q]
             if not scratch.locked[u]:
-                twice = 2 * row[scratch.node[q]]
+                twice = 2 * state.weight[scratch.node[p], scratch.node[q]]
                 scratch.flip[u] += twice if scratch.side[p] == scratch.side[q] else -twice
     for p in range(count):
         if scratch.unit[p] == chosen:
             scratch.side[p] = 1 - scratch.side[p]
 
 
-@compiled
+@inner
 def _apply(state, scratch, first, second, count):  # type: ignore[no-untyped-def]
     """Let the units that are marked as locked change sides: all leave, then all enter."""
     for p in range(count):

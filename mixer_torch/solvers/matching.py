@@ -2,67 +2,115 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mixer_torch.solvers.clustering import enter, leave
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import NONE, compiled, inner
+
+
+class Matching(NamedTuple):
+    """Scratch of :func:`rematch` and :func:`assign`, for r rows and q columns.
+
+    Args:
+        cost: (r, q) of each row in each column.
+        match: (q,) the row of each column, -1 for none.
+        row_price: (r,) and
+        column_price: (q,) dual variables.
+        distance: (q,) reduced cost of the shortest path to a column,
+        came_from: (q,) the column before it on that path,
+        done: (q,) and whether it is final.
+        choice: (r,) the slot of each row.
+        moved: (r,) whether it is another one than before.
+    """
+
+    cost: np.ndarray
+    match: np.ndarray
+    row_price: np.ndarray
+    column_price: np.ndarray
+    distance: np.ndarray
+    came_from: np.ndarray
+    done: np.ndarray
+    choice: np.ndarray
+    moved: np.ndarray
 
 
 @compiled
-def assign(cost, rows, columns, match, row_price, column_price):  # type: ignore[no-untyped-def]
+def matching_scratch(rows, columns):  # type: ignore[no-untyped-def]
+    """Scratch for problems of up to that size."""
+    return Matching(
+        np.empty((rows, columns)),
+        np.empty(columns, np.int64),
+        np.empty(rows),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns, np.int64),
+        np.empty(columns, np.bool_),
+        np.empty(rows, np.int64),
+        np.empty(rows, np.bool_),
+    )
+
+
+@inner
+def assign(scratch, rows, columns):  # type: ignore[no-untyped-def]
     """Minimum-cost assignment of each row to a column of its own, by shortest augmenting paths.
 
         minimise  sum over rows of cost[row, match(row)],  all match(row) different
 
     The Hungarian method in the form of Jonker and Volgenant (Computing 38, 1987), rows <= columns.
-
-    Args:
-        cost: Scratch of at least (rows, columns).
-        rows: Number of rows.
-        columns: Number of columns.
-        match: (columns,) int64, written: the row of each column, -1 for none.
-        row_price: (rows,) float scratch.
-        column_price: (columns,) float scratch.
+    ``scratch.cost`` is read, ``scratch.match`` is the result.
     """
-    match[:columns] = -1
-    row_price[:rows] = 0.0
-    column_price[:columns] = 0.0
-    distance = np.empty(columns)
-    came_from = np.empty(columns, np.int64)
-    done = np.empty(columns, np.bool_)
+    match, distance = scratch.match, scratch.distance
+    row_price, column_price = scratch.row_price, scratch.column_price
+    for c in range(columns):
+        match[c] = -1
+        column_price[c] = 0.0
     for row in range(rows):
-        distance[:] = np.inf
-        done[:] = False
-        current, last = row, -1
-        while current >= 0:
-            nearest, best = -1, np.inf
-            reached = 0.0 if last < 0 else distance[last]
-            for c in range(columns):
-                if done[c]:
-                    continue
-                through = reached + cost[current, c] - row_price[current] - column_price[c]
-                if through < distance[c]:
-                    distance[c] = through
-                    came_from[c] = last
-                if distance[c] < best:
-                    nearest, best = c, distance[c]
-            done[nearest] = True
-            last = nearest
-            current = match[nearest]
+        row_price[row] = 0.0
+    for row in range(rows):
+        last = _shortest_path(scratch, row, columns)
         total = distance[last]
         row_price[row] += total
         for c in range(columns):
-            if done[c] and c != last:
+            if scratch.done[c] and c != last:
                 row_price[match[c]] += total - distance[c]
                 column_price[c] -= total - distance[c]
         while last >= 0:
-            before = came_from[last]
+            before = scratch.came_from[last]
             match[last] = match[before] if before >= 0 else row
             last = before
 
 
-@compiled
-def rematch(state, carrier_start, carrier, since, tiny):  # type: ignore[no-untyped-def]
+@inner
+def _shortest_path(scratch, row, columns):  # type: ignore[no-untyped-def]
+    """From a row to the nearest column without one, which is returned."""
+    distance, done = scratch.distance, scratch.done
+    for c in range(columns):
+        distance[c] = np.inf
+        done[c] = False
+    current, last = row, NONE
+    while current >= 0:
+        nearest, best = NONE, np.inf
+        reached = 0.0 if last < 0 else distance[last]
+        for c in range(columns):
+            if done[c]:
+                continue
+            reduced = scratch.cost[current, c] - scratch.row_price[current]
+            through = reached + reduced - scratch.column_price[c]
+            if through < distance[c]:
+                distance[c] = through
+                scratch.came_from[c] = last
+            if distance[c] < best:
+                nearest, best = c, distance[c]
+        done[nearest] = True
+        last = nearest
+        current = scratch.match[nearest]
+    return last
+
+
+@inner
+def rematch(state, scratch, carrier_start, carrier, since, tiny):  # type: ignore[no-untyped-def]
     """Give the carriers of each token in turn their best clusters, all at once.
 
     Carriers of one token are never together, so their costs to a cluster do not depend on where
@@ -72,43 +120,45 @@ def rematch(state, carrier_start, carrier, since, tiny):  # type: ignore[no-unty
     Returns:
         The change of the cost.
     """
-    n = len(state.label)
-    widest = 0
-    for t in range(len(carrier_start) - 1):
-        widest = max(widest, carrier_start[t + 1] - carrier_start[t])
-    cost = np.empty((widest, n + 1 + widest))
-    match = np.empty(n + 1 + widest, np.int64)
-    row_price, column_price = np.empty(widest), np.empty(n + 1 + widest)
-    choice = np.empty(widest, np.int64)
     gained = 0.0
     for t in range(len(carrier_start) - 1):
         nodes = carrier[carrier_start[t] : carrier_start[t + 1]]
         if not _conflict(state, nodes, since, tiny):
             continue
         rows, slots = len(nodes), state.number[0]
-        before = 0.0
-        for r in range(rows):
-            i = nodes[r]
-            before += state.total[state.label[i], i]
-            for p in range(slots):
-                value = state.total[state.slot[p], i]
-                open_ = value < -tiny and _open(state, i, state.slot[p], t)
-                cost[r, p] = value if open_ else 0.0
-            cost[r, slots : slots + rows] = 0.0
-        assign(cost, rows, slots + rows, match, row_price, column_price)
+        before = _pose(state, scratch, nodes, t, tiny)
+        assign(scratch, rows, slots + rows)
         after = 0.0
-        choice[:rows] = -1
+        for r in range(rows):
+            scratch.choice[r] = -1
         for p in range(slots):
-            if match[p] >= 0 and cost[match[p], p] < 0:
-                choice[match[p]] = state.slot[p]
-                after += cost[match[p], p]
+            row = scratch.match[p]
+            if row >= 0 and scratch.cost[row, p] < 0:
+                scratch.choice[row] = state.slot[p]
+                after += scratch.cost[row, p]
         if after < before - tiny:
             gained += after - before
-            _follow(state, nodes, choice)
+            _follow(state, scratch, nodes)
     return gained
 
 
-@compiled
+@inner
+def _pose(state, scratch, nodes, t, tiny):  # type: ignore[no-untyped-def]
+    """Costs of the assignment of the carriers of token t; returns what they cost now."""
+    before, slots = 0.0, state.number[0]
+    for r in range(len(nodes)):
+        i = nodes[r]
+        before += state.total[state.label[i], i]
+        for p in range(slots):
+            value = state.total[state.slot[p], i]
+            open_ = value < -tiny and _open(state, i, state.slot[p], t)
+            scratch.cost[r, p] = value if open_ else 0.0
+        for q in range(len(nodes)):
+            scratch.cost[r, slots + q] = 0.0
+    return before
+
+
+@inner
 def _conflict(state, nodes, since, tiny):  # type: ignore[no-untyped-def]
     """Whether a node would rather be elsewhere, and either slot changed: else nothing is gained."""
     for i in nodes:
@@ -122,7 +172,7 @@ def _conflict(state, nodes, since, tiny):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled
+@inner
 def _open(state, i, c, t):  # type: ignore[no-untyped-def]
     if state.size[c] == 1 and state.holder[c, t] >= 0 and state.holder[c, t] != i:
         return False
@@ -137,10 +187,10 @@ def _open(state, i, c, t):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
-def _follow(state, nodes, choice):  # type: ignore[no-untyped-def]
+@inner
+def _follow(state, scratch, nodes):  # type: ignore[no-untyped-def]
     """Move the nodes that change to their choice, -1 for a slot of one's own."""
-    moved = np.zeros(len(nodes), np.bool_)
+    choice, moved = scratch.choice, scratch.moved
     for r in range(len(nodes)):
         i = nodes[r]
         alone = choice[r] < 0 and state.size[state.label[i]] == 1

@@ -11,7 +11,7 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.region import carriers_of, named, search_region
-from mixer_torch.solvers.search import PRECISION
+from mixer_torch.solvers.search import COURSE, PRECISION
 
 REGION = 96  # nodes that are free to move in one region
 SWEEPS = 50  # most sweeps over all nodes in one go
@@ -24,7 +24,7 @@ def refine_large(
     random: np.ndarray,
     deadline: float,
     progress: Callable[[float], None] | None = None,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Better labels of a graph that is too large to hold as a matrix; never worse.
 
     Two levels take turns until neither gains: nodes move one at a time, and clusters, contracted
@@ -39,10 +39,13 @@ def refine_large(
         random: (1,) uint64 state of the random draws, written.
         deadline: Value of ``time.perf_counter()`` after which nothing new begins.
         progress: Told the fraction of the nodes that had their turn.
+
+    Returns:
+        The labels, and the courses of the searches, added up (see :func:`search`).
     """
     label = _levels(graph, compact(label), deadline)
-    label = _regions(graph, label, restarts, random, deadline, progress)
-    return _levels(graph, compact(label), deadline)
+    label, course = _regions(graph, label, restarts, random, deadline, progress)
+    return _levels(graph, compact(label), deadline), course
 
 
 def _levels(graph: Graph, label: np.ndarray, deadline: float) -> np.ndarray:
@@ -70,22 +73,24 @@ def _regions(
     random: np.ndarray,
     deadline: float,
     progress: Callable[[float], None] | None,
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """One turn for every node: seeds in order, each with those around it that had none yet."""
     arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label.copy())
     had_turn = np.zeros(len(graph), np.bool_)
-    done = 0
+    done, total = 0, np.zeros(COURSE)
     for seed in range(len(graph)):
         if had_turn[seed]:
             continue
         if time.perf_counter() > deadline:
             break
         nodes = _around(arrays, had_turn, seed, REGION)
-        search_region(arrays, carrier, names, nodes, restarts, restarts, 0, random)
+        course = np.zeros(COURSE)
+        search_region(arrays, carrier, names, nodes, restarts, course, random)
+        total += course
         done += len(nodes)
         if progress is not None:
             progress(done / len(graph))
-    return names.label
+    return names.label, total
 
 
 @compiled

@@ -14,11 +14,13 @@ from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.graph import Graph, arrays_of, compact, named_by_member
 from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import Names, carriers_of, named, search_region
+from mixer_torch.solvers.search import COURSE, DESCENDED, DISTURBED, REHEATED
+from mixer_torch.solvers.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
-RESTARTS = 200  # in a row that bring nothing before a part is left
-PERSISTENCE = 20  # restarts of one part are at most this many times those
-CHUNK = 20_000  # work (nodes x restarts) between two looks at the clock
+RESTARTS = 100  # of one part at most
+FULL = 250  # nodes of the largest parts that get all of these
+CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
 LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
 
@@ -46,14 +48,16 @@ def refine(
 
     Each part (:func:`decompose`) is descended by moves of single nodes, re-matching of one token's
     carriers, merges and exchanges until none gains. Then, again and again, a random region is
-    taken apart, put together in random order and descended, and the result is kept if it is not
-    worse; until ``restarts`` of these in a row have brought nothing. Parts of two nodes are joined
-    (a negative cost connects them); parts too large for a matrix go to :func:`refine_large`.
+    reheated (simulated annealing) or taken apart and put together in random order, and descended;
+    the result is kept if it is not worse. A part is left after ``restarts`` of these, or before,
+    where reheats keep coming back to the same clustering, or where nothing can be lower. Parts of
+    two nodes are joined (a negative cost connects them); parts too large for a matrix go to
+    :func:`refine_large`.
 
     Args:
         graph: The problem.
         labels: (n,) feasible start of any integers >= 0; every node alone if None.
-        restarts: Perturbed restarts in a row without gain after which a part is left.
+        restarts: Most perturbed restarts of a part; see :func:`restarts_of`.
         seed: Of all random draws; the same seed gives the same labels where time does not run out.
         time_limit: Seconds after which no further restart begins; None for no limit.
         progress: Told the fraction that is done.
@@ -63,7 +67,8 @@ def refine(
 
     Returns:
         Labels (n,) int64, 0.. without holes, and stats: the costs ``start`` and ``objective``,
-        ``parts`` (their number) and ``timed_out``.
+        ``parts`` (their number), ``timed_out``, ``restarts`` (how many ran), and ``gained``, what
+        each kind of move has lowered the cost by.
 
     Raises:
         ValueError: The labels are malformed or break a constraint.
@@ -81,37 +86,51 @@ def refine(
     label = named_by_member(cut_along(labels, parts))
     key = np.arange(n) if key is None else np.asarray(key, dtype=np.int64)
     effort = Effort(restarts, seed, deadline, progress)
-    timed_out = _run(graph, parts, label, effort, key)
+    timed_out, course = _run(graph, parts, label, effort, key)
     label = compact(label)
+    if graph.objective(label) > start:  # by rounding, where nothing was gained
+        label = compact(labels)
     stats = {
         "start": start,
         "objective": graph.objective(label),
         "parts": len(parts),
         "timed_out": timed_out,
+        "restarts": int(course[RUN]),
+        "gained": {
+            "descents": -float(course[DESCENDED]),
+            "reheats": -float(course[REHEATED]),
+            "disturbances": -float(course[DISTURBED]),
+        },
     }
     return label, stats
 
 
-def _run(graph: Graph, parts: Parts, label: np.ndarray, effort: Effort, key: np.ndarray) -> bool:
-    """Search all parts one after the other and write the labels; whether time ran out."""
+def _run(
+    graph: Graph, parts: Parts, label: np.ndarray, effort: Effort, key: np.ndarray
+) -> tuple[bool, np.ndarray]:
+    """Search all parts one after the other and write the labels.
+
+    Returns:
+        Whether time ran out, and the courses of the searches, added up.
+    """
     random = _seeds(effort.seed, key[parts.order[parts.start[:-1]]])
     size = np.diff(parts.start)
     pair = parts.start[:-1][size == 2]  # connected by a negative cost, so they belong together
     label[parts.order[pair + 1]] = label[parts.order[pair]]
     arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label)
     work = np.cumsum(np.where(size > 2, size, 0))
-    reported = 0
+    reported, course = 0, np.zeros(COURSE)
     for part in np.flatnonzero(size > 2):
         nodes = parts.order[parts.start[part] : parts.start[part + 1]]
         if size[part] > DENSE:
-            _search_large(graph, nodes, label, effort, random[part])
+            course += _search_large(graph, nodes, label, effort, random[part])
             names = named(graph, label)
         else:
-            _search_small(arrays, carrier, names, nodes, effort, random[part])
+            course += _search_small(arrays, carrier, names, nodes, effort, random[part])
         if effort.progress is not None and work[part] - reported > CHUNK:
             reported = int(work[part])
             effort.progress(reported / int(work[-1]))
-    return time.perf_counter() > effort.deadline
+    return time.perf_counter() > effort.deadline, course
 
 
 def _search_small(
@@ -121,29 +140,34 @@ def _search_small(
     nodes: np.ndarray,
     effort: Effort,
     random: np.ndarray,
-) -> None:
-    """Search one part, and look at the clock now and then."""
-    patience = min(effort.restarts, len(nodes) ** 2)
-    share, failed = max(1, CHUNK // len(nodes)), 0
-    left = PERSISTENCE * patience
-    while True:
+) -> np.ndarray:
+    """Search one part, and look at the clock now and then; returns the course of the search."""
+    most = restarts_of(len(nodes), effort.restarts)
+    course, limit, ended = np.zeros(COURSE), 0, False
+    while not ended and limit < most:
         late = time.perf_counter() > effort.deadline
-        limit = 0 if late else min(left, share)
-        failed = search_region(arrays, carrier, names, nodes, patience, limit, failed, random)
-        left -= limit
-        if late or left == 0 or failed >= patience:
-            return
+        limit = limit if late else min(most, limit + max(1, CHUNK // len(nodes)))
+        ended = search_region(arrays, carrier, names, nodes, limit, course, random) or late
+    if most == 0:
+        search_region(arrays, carrier, names, nodes, 0, course, random)
+    return course
+
+
+def restarts_of(size: int, restarts: int) -> int:
+    """Most restarts of a part: small ones need few, and in large ones each takes long."""
+    return min(restarts, size, -(-restarts * FULL // size))
 
 
 def _search_large(
     graph: Graph, nodes: np.ndarray, label: np.ndarray, effort: Effort, random: np.ndarray
-) -> None:
+) -> np.ndarray:
     own = graph if len(nodes) == len(graph) else graph.subgraph(nodes)
     restarts = -(-effort.restarts // LARGE_SHARE)
-    local = refine_large(
+    local, course = refine_large(
         own, compact(label[nodes]), restarts, random, effort.deadline, effort.progress
     )
     label[nodes] = nodes[named_by_member(local)]
+    return course
 
 
 def _seeds(seed: int, key: np.ndarray) -> np.ndarray:

@@ -62,11 +62,10 @@ def search_region(
     carrier: tuple[np.ndarray, np.ndarray],
     names: Names,
     nodes: np.ndarray,
-    patience: int,
     limit: int,
-    failed: int,
+    course: np.ndarray,
     random: np.ndarray,
-) -> int:
+) -> bool:
     """Search for better places of some nodes.
 
     The members of a cluster that are not among them stay together as one node, whose costs add and
@@ -78,15 +77,14 @@ def search_region(
         carrier: start and nodes of the CSR of the nodes that carry each token.
         names: The labels, written.
         nodes: (k,) the nodes that are free to move.
-        patience: See :func:`search`, as
-        limit: and
-        failed: and what it returns.
+        limit: See :func:`search`, as
+        course: and what it returns.
         random: (1,) uint64 state, written.
     """
     weight, token_start, token, local, kept = _cut_out(graph, carrier, names, nodes)
-    failed = search(weight, token_start, token, local, patience, limit, failed, random)
+    ended = search(weight, token_start, token, local, limit, course, random)
     _put_back(names, nodes, kept, local)
-    return failed
+    return bool(ended)
 
 
 @compiled

@@ -1,77 +1,214 @@
-"""Iterated local search on one dense graph: descend, disturb a region, descend, keep the better."""
+"""Search on one dense graph: descend, disturb or reheat a region, descend, keep the better."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from mixer_torch.solvers.clustering import build, fits, merge, move, relocate, restore
-from mixer_torch.solvers.compiled import compiled, draw, shuffle
-from mixer_torch.solvers.exchange import exchange_all, exchange_scratch
-from mixer_torch.solvers.matching import rematch
+from mixer_torch.solvers.compiled import NONE, compiled, draw, inner, shuffle
+from mixer_torch.solvers.exchange import Exchange, exchange_all, exchange_scratch
+from mixer_torch.solvers.matching import Matching, matching_scratch, rematch
+from mixer_torch.solvers.reheating import reheat
 
 PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
+# what a search is resumed from, and what it did: an array of so many numbers
+COURSE = 7
+_RETURNS, _MISSES, _SWEEPS = range(3)
+RESTARTS, DESCENDED, REHEATED, DISTURBED = range(3, COURSE)
+_ENOUGH = 6.0  # reheats of all nodes that come back to the best after which a search ends
+_FRUITLESS = 4.0  # reheats of all nodes that end above the best after which they get longer
+_SWEEPS_FIRST = 20  # of a reheat
+_SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
+_HOT, _COLD = 1.0, 0.1  # temperatures, in units of what a node's place costs
+_COOLEST = 0.2  # lowest temperature from which a reheat starts
+_LOCAL = 64  # nodes in the smallest region of reheats
 _CLUSTERS = 16  # most clusters that a disturbance takes apart
-_REGION = 64  # nodes after which a disturbance takes no further cluster
+_REGION = np.int64(64)  # nodes after which a disturbance takes no further cluster
 _TRIALS = 4  # clusters that are drawn when the next one is chosen
 
 
+class Moves(NamedTuple):
+    """What the moves need besides the clustering: carriers of tokens, scratch, and the precision.
+
+    Args:
+        carrier_start: (T + 1,) and
+        carrier: CSR of the nodes that carry each token.
+        exchange: Scratch of exchanges.
+        matching: Scratch of re-matching.
+        region: (n,) the nodes that a restart is about.
+        taken: (k,) scratch, False everywhere between restarts: slots in the region.
+        tiny: The least gain that counts.
+    """
+
+    carrier_start: np.ndarray
+    carrier: np.ndarray
+    exchange: Exchange
+    matching: Matching
+    region: np.ndarray
+    taken: np.ndarray
+    tiny: float
+
+
 @compiled
-def search(weight, token_start, token, label, patience, limit, failed, random):  # type: ignore[no-untyped-def]
+def search(weight, token_start, token, label, limit, course, random):  # type: ignore[no-untyped-def]
     """Improve labels in place; they never get worse.
+
+    A restart reheats a region at random, then disturbs smaller ones for about as long. Where
+    reheats keep coming back to the best clustering, it is probably the optimum, and the search
+    ends; where they keep ending above it, they get longer.
 
     Args:
         weight: (n, n) symmetric costs, 0 on the diagonal and for pairs that share a token.
         token_start: (n + 1,) int64 and
         token: (K,) int32 the tokens of each node, 0..T-1.
         label: (n,) int64 in 0..n, feasible, written.
-        patience: Disturbances in a row that bring nothing after which the search ends.
-        limit: Most disturbances.
-        failed: How many brought nothing in a row before this call.
+        limit: Restarts after which to stop, those before this call included.
+        course: (COURSE,) float64, zeros at first: what the next call goes on from, and the
+            number of restarts and the change of the cost by each kind of move so far.
         random: (1,) uint64 state of the random draws, written.
 
     Returns:
-        How many disturbances in a row brought nothing at the end.
+        Whether the search ended before the limit.
     """
-    tiny = PRECISION * np.abs(weight).max()
-    carrier_start, carrier = carriers(token_start, token)
     state = build(weight, token_start, token, label)
-    scratch = exchange_scratch(len(label))
-    region = np.empty(len(label), np.int64)
-    since = np.int64(-1)
-    for restart in range(-1, limit):
-        changed = 0.0
-        if restart >= 0:
-            since = state.number[1]
-            changed = disturb(state, region, random)
-        # all moves in turn, the cheap ones first, until none gains; what has not changed since
-        # a kind of move had its last turn is at rest already
-        relocated, rematched, merged, exchanged = since, since, since, since
-        resting = False
-        while not resting:
-            changed += relocate(state, relocated, tiny)
-            now = relocated = state.number[1]
-            changed += rematch(state, carrier_start, carrier, rematched, tiny)
-            rematched = now
-            if state.number[1] == now:
-                changed += merge(state, merged, tiny)
-                merged = now
-            if state.number[1] == now:
-                changed += exchange_all(state, scratch, exchanged, tiny)
-                exchanged = now
-                resting = state.number[1] == now
-        if changed <= 0:
-            label[:] = state.label
-        else:
-            restore(state, label)
-        if restart >= 0:
-            failed = 0 if changed < -tiny else failed + 1
-        if failed >= patience:
-            break
-    return failed
+    moves = _moves(weight, token_start, token)
+    course[DESCENDED] += descend(state, moves, NONE)
+    label[:] = state.label
+    if is_lowest(state, moves.tiny):
+        return True
+    hot = _typical_cost(state)
+    return _restarts(state, moves, label, hot, limit, course, random)
 
 
 @compiled
-def disturb(state, region, random):  # type: ignore[no-untyped-def]
+def _moves(weight, token_start, token):  # type: ignore[no-untyped-def]
+    n, widest = len(weight), np.int64(0)
+    start, carrier = carriers(token_start, token)
+    for t in range(len(start) - 1):
+        widest = max(widest, start[t + 1] - start[t])
+    largest = 0.0
+    for i in range(n):
+        for j in range(i):
+            largest = max(largest, abs(weight[i, j]))
+    return Moves(
+        start,
+        carrier,
+        exchange_scratch(n),
+        matching_scratch(widest, n + 1 + widest),
+        np.empty(n, np.int64),
+        np.zeros(n + 1, np.bool_),
+        PRECISION * largest,
+    )
+
+
+@inner
+def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[no-untyped-def]
+    n = len(label)
+    longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
+    course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
+    levels = 1
+    while n >> levels >= _LOCAL:
+        levels += 1
+    while course[RESTARTS] < limit:
+        since = state.number[1]
+        count = draw_region(state, moves, n, n >> draw(random, levels), random)
+        start = hot * _COOLEST ** (draw(random, 1024) / 1024)
+        sweeps = np.int64(course[_SWEEPS])
+        change = reheat(state, moves.region, count, start, hot * _COLD, sweeps, random)
+        change += descend(state, moves, since)
+        course[REHEATED] += _keep_better(state, label, change)
+        _note_return(course, change, moves.tiny, count / n, longest)
+        for _ in range(sweeps // _SWEEPS_EACH):
+            since = state.number[1]
+            change = disturb(state, moves, random)
+            change += descend(state, moves, since)
+            course[DISTURBED] += _keep_better(state, label, change)
+            if change < -moves.tiny:
+                course[_RETURNS] = course[_MISSES] = 0.0
+        course[RESTARTS] += 1
+        if course[_RETURNS] >= _ENOUGH:
+            return True
+    return False
+
+
+@inner
+def _keep_better(state, label, change):  # type: ignore[no-untyped-def]
+    """Save what has changed, or go back to what was saved; returns the gain, <= 0."""
+    if change > 0:
+        restore(state, label)
+        return 0.0
+    for i in range(len(label)):
+        label[i] = state.label[i]
+    return change
+
+
+@inner
+def _note_return(course, change, tiny, share, longest):  # type: ignore[no-untyped-def]
+    """Count reheats that came back and reheats in vain, by their share of the nodes."""
+    if change < -tiny:
+        course[_RETURNS] = course[_MISSES] = 0.0
+    elif change <= tiny:
+        course[_RETURNS] += share
+    else:
+        course[_MISSES] += share
+    if course[_MISSES] >= _FRUITLESS:
+        course[_MISSES] = 0.0
+        course[_SWEEPS] = min(2 * course[_SWEEPS], longest)
+
+
+@inner
+def descend(state, moves, since):  # type: ignore[no-untyped-def]
+    """All moves in turn, the cheap ones first, until none gains.
+
+    What has not changed since a kind of move had its last turn is at rest already.
+
+    Returns:
+        The change of the cost.
+    """
+    changed, tiny = 0.0, moves.tiny
+    relocated, rematched, merged, exchanged = since, since, since, since
+    while True:
+        changed += relocate(state, relocated, tiny)
+        now = relocated = state.number[1]
+        changed += rematch(
+            state, moves.matching, moves.carrier_start, moves.carrier, rematched, tiny
+        )
+        rematched = now
+        if state.number[1] == now:
+            changed += merge(state, merged, tiny)
+            merged = now
+        if state.number[1] == now:
+            changed += exchange_all(state, moves.exchange, exchanged, tiny)
+            exchanged = now
+            if state.number[1] == now:
+                return changed
+
+
+@inner
+def is_lowest(state, tiny):  # type: ignore[no-untyped-def]
+    """Whether all negative costs, and no positive ones, are inside clusters: nothing is lower."""
+    for i in range(len(state.label)):
+        for j in range(i):
+            inside = state.label[i] == state.label[j]
+            if (state.weight[i, j] > tiny) if inside else (state.weight[i, j] < -tiny):
+                return False
+    return True
+
+
+@inner
+def _typical_cost(state):  # type: ignore[no-untyped-def]
+    """What a node costs at random in a cluster of average size: root mean square."""
+    n, squares = len(state.label), 0.0
+    for i in range(n):
+        for j in range(i):
+            squares += 2 * state.weight[i, j] ** 2
+    return np.sqrt(squares / max(1, n - 1) / state.number[0])
+
+
+@inner
+def disturb(state, moves, random):  # type: ignore[no-untyped-def]
     """Take a few clusters apart and put their nodes back in random order, each where it is best.
 
     How many is drawn anew each time, from two to almost all of a small problem: small regions are
@@ -80,7 +217,8 @@ def disturb(state, region, random):  # type: ignore[no-untyped-def]
     Returns:
         The change of the cost.
     """
-    count, changed = _draw_region(state, region, random), 0.0
+    region, changed = moves.region, 0.0
+    count = draw_region(state, moves, 2 + draw(random, _CLUSTERS - 1), _REGION, random)
     shuffle(random, region, count)
     for q in range(count):
         i = region[q]
@@ -89,7 +227,7 @@ def disturb(state, region, random):  # type: ignore[no-untyped-def]
     for q in range(count):
         i = region[q]
         stay = state.total[state.label[i], i]
-        best, target = stay, -1
+        best, target = stay, NONE
         for p in range(state.number[0]):
             c = state.slot[p]
             if state.total[c, i] < best and fits(state, i, c):
@@ -100,34 +238,37 @@ def disturb(state, region, random):  # type: ignore[no-untyped-def]
     return changed
 
 
-@compiled
-def _draw_region(state, region, random):  # type: ignore[no-untyped-def]
-    """The nodes of some clusters that have to do with each other; returns how many nodes."""
-    count, wanted = 0, 2 + draw(random, _CLUSTERS - 1)
+@inner
+def draw_region(state, moves, clusters, nodes, random):  # type: ignore[no-untyped-def]
+    """Clusters that have to do with each other, until there are so many of them, or of nodes.
+
+    Returns:
+        How many nodes the region has.
+    """
+    count, region = 0, moves.region
+    if nodes >= len(state.label) and clusters >= len(state.label):
+        for i in range(len(state.label)):
+            region[i] = i
+        return len(state.label)
     c = state.label[draw(random, len(state.label))]
-    for _ in range(wanted):
+    for _ in range(clusters):
+        moves.taken[c] = True
         i = state.head[c]
         while i >= 0:
             region[count] = i
             count += 1
             i = state.after[i]
-        c, best = -1, np.inf
+        c, best = NONE, np.inf
         for _ in range(_TRIALS):
             other = state.slot[draw(random, state.number[0])]
             cost = state.total[other, region[draw(random, count)]]
-            if cost < best and not _contains(state, region, count, other):
+            if cost < best and not moves.taken[other]:
                 c, best = other, cost
-        if c < 0 or count >= _REGION:
+        if c < 0 or count >= nodes:
             break
-    return count
-
-
-@compiled
-def _contains(state, region, count, slot):  # type: ignore[no-untyped-def]
-    found = False
     for q in range(count):
-        found = found or state.label[region[q]] == slot
-    return found
+        moves.taken[state.label[region[q]]] = False
+    return count
 
 
 @compiled
@@ -139,7 +280,8 @@ def carriers(token_start, token):  # type: ignore[no-untyped-def]
     start = np.zeros(tokens + 1, np.int64)
     for t in token:
         start[t + 1] += 1
-    start = np.cumsum(start)
+    for t in range(tokens):
+        start[t + 1] += start[t]
     fill = start[:tokens].copy()
     carrier = np.empty(len(token), np.int64)
     for i in range(len(token_start) - 1):

@@ -8,6 +8,7 @@ from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import carriers_of, named, search_region
+from mixer_torch.solvers.search import COURSE, RESTARTS
 
 
 def video(seed: int, frames: int, objects: int, window: int = 3) -> Graph:
@@ -29,7 +30,8 @@ def test_feasible_and_not_worse_than_greedy(seed: int) -> None:
     graph = video(seed, 40, 8)
     start = greedy(graph)
     random = np.array([seed], np.uint64)
-    label = refine_large(graph, start, 10, random, np.inf)
+    label, course = refine_large(graph, start, 10, random, np.inf)
+    assert course[RESTARTS] > 0
     assert graph.is_feasible(label)
     assert graph.objective(label) < graph.objective(start)
 
@@ -38,14 +40,15 @@ def test_close_to_the_search_of_the_whole() -> None:
     graph = video(5, 30, 8)
     start = greedy(graph)
     whole, _ = refinement.refine(graph, start, restarts=100)
-    label = refine_large(graph, start, 20, np.array([1], np.uint64), np.inf)
+    label, _ = refine_large(graph, start, 20, np.array([1], np.uint64), np.inf)
     assert graph.objective(label) <= 0.99 * graph.objective(whole)
 
 
 def test_out_of_time_returns_the_start() -> None:
     graph = video(1, 20, 6)
     start = greedy(graph)
-    label = refine_large(graph, start, 10, np.array([0], np.uint64), -np.inf)
+    label, course = refine_large(graph, start, 10, np.array([0], np.uint64), -np.inf)
+    assert course[RESTARTS] == 0
     assert (label == compact(start)).all()
 
 
@@ -60,7 +63,9 @@ def test_regions_leave_the_rest_together(seed: int) -> None:
     for _ in range(5):
         old = names.label.copy()
         nodes = np.sort(rng.choice(len(graph), 25, replace=False)).astype(np.int64)
-        search_region(arrays_of(graph), carriers_of(graph), names, nodes, 10, 10, 0, random)
+        search_region(
+            arrays_of(graph), carriers_of(graph), names, nodes, 10, np.zeros(COURSE), random
+        )
         rest = np.setdiff1d(np.arange(len(graph)), nodes)
         assert (names.label[rest] == old[rest]).all()
         assert graph.is_feasible(names.label)

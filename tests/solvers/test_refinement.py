@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of
 from mixer_torch.solvers.graph import Graph
 from mixer_torch.solvers.greedy import greedy
-from mixer_torch.solvers.refinement import refine
+from mixer_torch.solvers.refinement import refine, restarts_of
 
 
 def partitions(n: int) -> Iterator[np.ndarray]:
@@ -158,3 +158,29 @@ def test_any_problem_ends_feasible(
     assert stats["objective"] <= stats["start"] <= 0
     scale = float(cost.abs().sum()) if count else 0.0
     assert abs(stats["objective"] - objective_of(problem, labels)) <= 1e-9 * scale
+
+
+def test_stats_tell_what_each_kind_of_move_gained() -> None:
+    graph = random_graph(2, 80, 1000)
+    _, stats = refine(graph, greedy(graph), restarts=10)
+    gained = stats["gained"]
+    assert set(gained) == {"descents", "reheats", "disturbances"}
+    assert min(gained.values()) >= 0
+    assert np.isclose(sum(gained.values()), stats["start"] - stats["objective"], atol=1e-9)
+    assert 0 < stats["restarts"] <= 10
+
+
+def test_what_cannot_be_lower_is_left_at_once() -> None:
+    pairs = np.stack(np.triu_indices(40, 1))
+    cost = np.where(pairs[0] % 4 == pairs[1] % 4, -1.0, 1.0)
+    graph = Graph.from_arrays(40, pairs, cost, np.zeros((2, 0), int))
+    _, stats = refine(graph)
+    assert stats["restarts"] == 0
+    assert stats["objective"] == cost[cost < 0].sum()
+
+
+@pytest.mark.parametrize("size", [1, 3, 50, 250, 800])
+def test_large_parts_get_fewer_restarts_but_none_goes_without(size: int) -> None:
+    assert restarts_of(size, 0) == 0
+    assert 1 <= restarts_of(size, 1) <= restarts_of(size, 100) <= min(100, size)
+    assert restarts_of(4 * size, 10**9) <= 4 * size
