@@ -18,6 +18,7 @@ from mixer_torch.scoring import Calibrator
 from scorers.covariates import Covariates, Features, support
 
 FOLDS = 4
+BINS = 2_000
 ENOUGH, RIVALS = 4_000, 4
 """Different pairs that descent keeps: at least so many, and so many for each same pair."""
 CONVINCING = 5.0
@@ -208,11 +209,20 @@ class LikelihoodRatio(Calibrator):
         self.learn_statistics(x, y, c)
         self.shrinkage.fill_(1)
         learned = [parameter for parameter in self.parameters() if parameter.numel()]
-        if learned:
+        if learned and len(self.covariates):
             chosen, kept = thinned(y)
             x, y, c = x[chosen], y[chosen], c[chosen]
             minimise(lambda: self.loss(x, y, c, kept), learned)
+        elif learned:
+            value, of_same, of_all = gathered(x, y)
+            minimise(lambda: self._gathered_loss(value, of_same, of_all), learned)
         return self
+
+    def _gathered_loss(self, value: Tensor, of_same: Tensor, of_all: Tensor) -> Tensor:
+        """The loss of all pairs where there are no covariates, from how many have which value."""
+        logit = self.ratio(value) + self.base_rate[-1]
+        fit = (of_all * softplus(logit) - of_same * logit).sum() / of_all.sum()
+        return fit + self.regularisation * self.penalty()
 
     def shrink(self, evidence: Any, same: Any, covariates: Any = None) -> LikelihoodRatio:
         """Choose the shrinkage on pairs that fitting did not see."""
@@ -281,6 +291,23 @@ def thinned(same: Bool[Tensor, " P"]) -> tuple[Bool[Tensor, " P"], float]:
     chosen = same.clone()
     chosen[different[order[:wanted].to(different.device)]] = True
     return chosen, wanted / len(different)
+
+
+def gathered(
+    x: Float[Tensor, " P"], same: Bool[Tensor, " P"]
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """Evidence gathered at no more than ``BINS`` values, and how many same and all pairs are there.
+
+    Exact where there are no more different values; else each bin has the mean of its evidence.
+    """
+    value, place = torch.unique(x, return_inverse=True)
+    if len(value) > BINS:
+        rank = torch.empty_like(place)
+        rank[torch.argsort(x)] = torch.arange(len(x), device=x.device)
+        place = torch.unique(rank * BINS // len(x), return_inverse=True)[1]
+    of_all = torch.bincount(place).double()
+    value = torch.zeros_like(of_all).index_add_(0, place, x) / of_all
+    return value, torch.bincount(place[same], minlength=len(of_all)).double(), of_all
 
 
 def minimise(loss: Any, parameters: list[nn.Parameter], iterations: int = 60) -> None:
