@@ -11,7 +11,7 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.region import carriers_of, named, search_region
-from mixer_torch.solvers.search import COURSE, PRECISION
+from mixer_torch.solvers.search import COURSE, PRECISION, new_course
 
 REGION = 96  # nodes that are free to move in one region
 SWEEPS = 50  # most sweeps over all nodes in one go
@@ -84,7 +84,7 @@ def _regions(
         if time.perf_counter() > deadline:
             break
         nodes = _around(arrays, had_turn, seed, REGION)
-        course = np.zeros(COURSE)
+        course = new_course(restarts)
         search_region(arrays, carrier, names, nodes, restarts, course, random)
         total += course
         done += len(nodes)

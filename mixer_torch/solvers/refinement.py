@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,12 +15,12 @@ from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.graph import Graph, arrays_of, compact, named_by_member
 from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import Names, carriers_of, named, search_region
-from mixer_torch.solvers.search import COURSE, DESCENDED, DISTURBED, REHEATED
+from mixer_torch.solvers.search import COURSE, DESCENDED, DISTURBED, REHEATED, new_course
 from mixer_torch.solvers.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
 RESTARTS = 100  # of one part at most
-FULL = 250  # nodes of the largest parts that get all of these
+FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
 LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
@@ -143,7 +144,7 @@ def _search_small(
 ) -> np.ndarray:
     """Search one part, and look at the clock now and then; returns the course of the search."""
     most = restarts_of(len(nodes), effort.restarts)
-    course, limit, ended = np.zeros(COURSE), 0, False
+    course, limit, ended = new_course(effort.restarts), 0, False
     while not ended and limit < most:
         late = time.perf_counter() > effort.deadline
         limit = limit if late else min(most, limit + max(1, CHUNK // len(nodes)))
@@ -155,7 +156,8 @@ def _search_small(
 
 def restarts_of(size: int, restarts: int) -> int:
     """Most restarts of a part: small ones need few, and in large ones each takes long."""
-    return min(restarts, size, -(-restarts * FULL // size))
+    smallest, largest = FULL
+    return math.ceil(restarts * min(1.0, size / smallest, largest / size))
 
 
 def _search_large(

@@ -14,10 +14,10 @@ from mixer_torch.solvers.reheating import reheat
 
 PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
 # what a search is resumed from, and what it did: an array of so many numbers
-COURSE = 7
-_RETURNS, _MISSES, _SWEEPS = range(3)
-RESTARTS, DESCENDED, REHEATED, DISTURBED = range(3, COURSE)
-_ENOUGH = 6.0  # reheats of all nodes that come back to the best after which a search ends
+COURSE = 8
+_ENOUGH, _RETURNS, _MISSES, _SWEEPS = range(4)
+RESTARTS, DESCENDED, REHEATED, DISTURBED = range(4, COURSE)
+_RETURNS_EACH = 0.06  # reheats of all nodes that come back to the best and end a search, a restart
 _FRUITLESS = 4.0  # reheats of all nodes that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
@@ -51,6 +51,13 @@ class Moves(NamedTuple):
     tiny: float
 
 
+def new_course(restarts: int) -> np.ndarray:
+    """Where a search starts that is to take so many restarts, or as long as that is worth it."""
+    course = np.zeros(COURSE)
+    course[_ENOUGH] = restarts * _RETURNS_EACH
+    return course
+
+
 @compiled
 def search(weight, token_start, token, label, limit, course, random):  # type: ignore[no-untyped-def]
     """Improve labels in place; they never get worse.
@@ -65,7 +72,7 @@ def search(weight, token_start, token, label, limit, course, random):  # type: i
         token: (K,) int32 the tokens of each node, 0..T-1.
         label: (n,) int64 in 0..n, feasible, written.
         limit: Restarts after which to stop, those before this call included.
-        course: (COURSE,) float64, zeros at first: what the next call goes on from, and the
+        course: (COURSE,) float64, see :func:`new_course`: what the next call goes on from, and the
             number of restarts and the change of the cost by each kind of move so far.
         random: (1,) uint64 state of the random draws, written.
 
@@ -128,7 +135,7 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
             if change < -moves.tiny:
                 course[_RETURNS] = course[_MISSES] = 0.0
         course[RESTARTS] += 1
-        if course[_RETURNS] >= _ENOUGH:
+        if course[_RETURNS] >= course[_ENOUGH]:
             return True
     return False
 

@@ -8,7 +8,7 @@ from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.multilevel import refine_large
 from mixer_torch.solvers.region import carriers_of, named, search_region
-from mixer_torch.solvers.search import COURSE, RESTARTS
+from mixer_torch.solvers.search import RESTARTS, new_course
 
 
 def video(seed: int, frames: int, objects: int, window: int = 3) -> Graph:
@@ -64,7 +64,7 @@ def test_regions_leave_the_rest_together(seed: int) -> None:
         old = names.label.copy()
         nodes = np.sort(rng.choice(len(graph), 25, replace=False)).astype(np.int64)
         search_region(
-            arrays_of(graph), carriers_of(graph), names, nodes, 10, np.zeros(COURSE), random
+            arrays_of(graph), carriers_of(graph), names, nodes, 10, new_course(10), random
         )
         rest = np.setdiff1d(np.arange(len(graph)), nodes)
         assert (names.label[rest] == old[rest]).all()
