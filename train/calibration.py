@@ -144,7 +144,8 @@ class CalibratorTraining(LightningModule):
             rows = []
             for calibrator, evidence in zip(self.calibrators.values(), table.evidence, strict=True):
                 known = evidence.isfinite()
-                covariates = table.covariates_of(calibrator.covariates.names)[known]
+                names = calibrator.covariates.names  # type: ignore[union-attr]
+                covariates = table.covariates_of(names)[known]  # type: ignore[arg-type]
                 score = torch.full_like(evidence, 0.5)
                 score[known] = calibrator(evidence[known], covariates).detach()
                 rows.append(score)

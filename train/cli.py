@@ -56,7 +56,7 @@ class TrainCLI(LightningCLI):
 
     def before_instantiate_classes(self) -> None:
         """Let validate and test read what fit wrote; load nothing but weights and numbers."""
-        config = self.config[self.subcommand]  # type: ignore[index]
+        config = self.config[self.subcommand]
         if config.weights_only is None:
             config.weights_only = True
         if self.subcommand in ("validate", "test") and config.ckpt_path is None:
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
-    arguments: ArgsType = list(sys.argv[1:] if argv is None else argv)
+    arguments: ArgsType = None if argv is None else list(argv)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.*")

@@ -89,7 +89,7 @@ class CropData(LightningDataModule):
 
     def _whole(self, name: str) -> DataLoader:
         crops = self.parts[name]
-        return DataLoader(crops, sampler=[torch.arange(len(crops))], batch_size=None)  # type: ignore[arg-type]
+        return DataLoader(crops, sampler=[torch.arange(len(crops))], batch_size=None)
 
 
 class Crops(Dataset):

@@ -137,7 +137,7 @@ class PairData(LightningDataModule):
     def _whole(self, part: Literal["validate", "test"]) -> DataLoader:
         """One batch: all pairs of a part; figures are of all of them at once."""
         rows = Rows(self.tables(part))
-        return DataLoader(rows, sampler=[torch.arange(len(rows))], batch_size=None)  # type: ignore[arg-type]
+        return DataLoader(rows, sampler=[torch.arange(len(rows))], batch_size=None)
 
 
 class Rows(Dataset):

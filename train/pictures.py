@@ -44,7 +44,7 @@ def reliability_figure(ratios: Ratios) -> Figure:
 def histograms_figure(ratios: Ratios) -> Figure:
     """Scores of same and of different pairs, each kind as shares of its own."""
     figure, panels = _grid(ratios, "score", "share of the kind")
-    edges = np.linspace(0, 1, 31)
+    edges = np.linspace(0, 1, 31).tolist()
     for axes, title, ratio, same in panels:
         score = torch.sigmoid(ratio).numpy()
         for kept, color, label in ((same, SAME, "same"), (~same, DIFFERENT, "different")):
