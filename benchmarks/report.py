@@ -187,8 +187,7 @@ def size_figure(rows, path):
             [row["seconds"] for row in group],
             marker="o",
             markersize=3,
-            linewidth=2.5 if algorithm == "MIXER" else 1.2,
-            label=algorithm,
+            **style(algorithm),
         )
     axes.set(xlabel="observations m", ylabel="seconds")
     axes.grid(alpha=0.3, which="both", linewidth=0.4)
@@ -219,7 +218,7 @@ def ablation_figure(rows, sets, path):
     axes.set_xticks(range(len(names)), [name[0] for name in names], rotation=20, ha="right")
     axes.set(ylabel="F1", ylim=(0, 1))
     axes.grid(axis="y", alpha=0.3, linewidth=0.4)
-    axes.legend(fontsize=8, ncols=2, loc="upper left")
+    figure.legend(fontsize=8, ncols=len(sets), loc="outside upper center", frameon=False)
     save(figure, path)
 
 
@@ -236,15 +235,23 @@ def sweep_figure(rows, sweeps, path):
             axes.plot(
                 [float(name.split("=")[1]) for (name,) in points],
                 [mean(point, "f1") for point in points.values()],
-                linestyle="--" if algorithm == "optimum" else "-",
-                color="black" if algorithm == "optimum" else None,
-                linewidth=2.5 if algorithm == "MIXER" else 1.2,
-                label=algorithm,
+                **style(algorithm),
             )
         axes.set(xlabel=label, ylabel="F1", ylim=(0, 1.02))
         axes.grid(alpha=0.3, linewidth=0.4)
     panels[0].legend(fontsize=7)
     save(figure, path)
+
+
+def style(algorithm):
+    """MIXER stands out, in black; the optimum, its ceiling, is dashed."""
+    ours = algorithm in ("MIXER", "optimum")
+    return {
+        "label": algorithm,
+        "color": "black" if ours else None,
+        "linewidth": 2.5 if algorithm == "MIXER" else 1.2,
+        "linestyle": "--" if algorithm == "optimum" else "-",
+    }
 
 
 def save(figure, path):
