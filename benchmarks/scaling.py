@@ -1,0 +1,272 @@
+"""Time and memory against the number of observations m, and the objective beside greedy + moves.
+
+Three series, each step in a process of its own:
+
+- degree: video of 50 detections a frame, each pair within two frames listed, so that an observation
+  has 200 pairs whatever m; 1,000 frames are m = 50,000 and 5 million pairs.
+- dense: all pairs of about m observations in 20 views, four modalities.
+- batch: 1,024 problems of about 50 observations, in one call and one after the other.
+
+Peers on the same input: greedy contraction alone (GAEC), and greedy contraction followed by moves
+without restarts: single nodes, re-matching of views, Kernighan-Lin exchanges, joins.
+Peak memory is that of the process, less what it held before the problem was solved, without the
+input; on CUDA that of the device. The largest step of the first series is profiled.
+
+    mixer bench scaling --out out/benchmarks/scaling
+"""
+
+import cProfile
+import pstats
+import resource
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+import mixer_torch as mx
+from mixer_torch.benchmarks import comparison
+from mixer_torch.datasets.synthetic import synthetic
+from mixer_torch.solvers.base import problem_of
+from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.greedy import greedy
+from mixer_torch.solvers.refinement import refine
+
+DETECTIONS, WINDOW = 50, 2  # in a frame; frames between the two of a pair
+FRAMES = (4, 10, 30, 100, 300, 1000)
+DENSE = (100, 200, 400, 800, 1500, 3000)
+PROBLEMS = 1024
+PEERS = ("greedy", "moves")
+SOLVED = ("seconds", "peak_mib", "objective")
+PEER_COLUMNS = tuple(f"{what}_{peer}" for peer in PEERS for what in ("seconds", "objective"))
+COLUMNS = ("series", "device", "m", "pairs", "problems", *SOLVED, *PEER_COLUMNS)
+
+
+def video(frames, seed=0, wrong=0.1, noise=0.25, lost=0.1):
+    """An affinity of detections of objects that come and go, pairs within a few frames listed.
+
+    In each frame an object is replaced by a new one with probability 0.02, and its detection is of
+    nothing seen elsewhere with probability ``lost``. A score is 0.8 for the same object and 0.2 for
+    others, swapped with probability ``wrong``, plus Gaussian noise, clipped to [0, 1].
+    """
+    rng = np.random.default_rng(seed)
+    identity = np.empty((frames, DETECTIONS), np.int64)
+    present, fresh = np.arange(DETECTIONS), DETECTIONS
+    for f in range(frames):
+        identity[f] = present
+        clutter = rng.random(DETECTIONS) < lost
+        gone = rng.random(DETECTIONS) < 0.02
+        new = fresh + np.arange(2 * DETECTIONS)
+        identity[f, clutter] = new[:DETECTIONS][clutter]
+        present = np.where(gone, new[DETECTIONS:], present)
+        fresh += 2 * DETECTIONS
+    m = frames * DETECTIONS
+    first = np.arange(m)
+    end = np.minimum((first // DETECTIONS + 1 + WINDOW) * DETECTIONS, m)
+    begin = (first // DETECTIONS + 1) * DETECTIONS
+    count = np.maximum(end - begin, 0)
+    near = np.repeat(first, count)
+    far = np.arange(len(near)) - np.repeat(np.cumsum(count) - count, count) + begin[near]
+    same = identity.reshape(-1)[near] == identity.reshape(-1)[far]
+    same ^= rng.random(len(same)) < wrong
+    score = np.where(same, 0.8, 0.2) + noise * rng.normal(size=len(same))
+    return mx.Affinity(
+        torch.from_numpy(np.stack([near, far])),
+        torch.from_numpy(score.clip(0, 1).astype(np.float32))[None],
+        torch.from_numpy(first // DETECTIONS),
+        ("synthetic",),
+    )
+
+
+def dense(m, seed=0):
+    """All pairs of about m observations in 20 views, four noisy modalities."""
+    return synthetic(
+        objects=round(m / 12.5), views=20, modalities=4, wrong=0.3, noise=0.4, seed=seed
+    )[0]
+
+
+def small(count):
+    """Problems of about 50 observations, as those of the paper's Table I."""
+    return [synthetic(objects=10, views=8, wrong=0.1, noise=0.3, seed=s)[0] for s in range(count)]
+
+
+class Peak:
+    """Highest memory in MiB while solving, over that before: of the device, or of the process.
+
+    The highest of a process so far cannot be reset, so a thread looks at what it holds now.
+    """
+
+    def __init__(self, device):
+        self.on_gpu = device != "cpu"
+
+    def __enter__(self):
+        if self.on_gpu:
+            torch.cuda.synchronize()
+            torch.cuda.reset_peak_memory_stats()
+            self.base = torch.cuda.memory_allocated()
+        else:
+            self.base = self.highest = _resident()
+            self.over = threading.Event()
+            self.thread = threading.Thread(target=self._watch, daemon=True)
+            self.thread.start()
+        return self
+
+    def _watch(self):
+        while not self.over.wait(0.005):
+            self.highest = max(self.highest, _resident())
+
+    def __exit__(self, *_):
+        if self.on_gpu:
+            torch.cuda.synchronize()
+            self.highest = torch.cuda.max_memory_allocated()
+        else:
+            self.over.set()
+            self.thread.join()
+        self.mib = (self.highest - self.base) / 2**20
+
+
+def _resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize()
+
+
+def timed(device, function):
+    """Its result, seconds and peak memory, measured on the second run of two where it is short."""
+    for _ in range(2):
+        with Peak(device) as peak:
+            begin = time.perf_counter()
+            result = function()
+            if device != "cpu":
+                torch.cuda.synchronize()
+            seconds = time.perf_counter() - begin
+        if seconds > 10:
+            break
+    return result, seconds, peak.mib
+
+
+def step(series, size, device):
+    """One row; runs in a process of its own."""
+    mx.solve([video(6), dense(60)])  # kernels are compiled or loaded
+    if series == "batch":
+        return batch_rows(size, device)
+    affinity = (video if series == "degree" else dense)(size).to(device)
+    answer, seconds, peak = timed(device, lambda: mx.solve(affinity))
+    row = {"series": series, "device": device, "m": len(affinity), "problems": 1}
+    row |= {"pairs": affinity.pairs.shape[1], "seconds": seconds, "peak_mib": peak}
+    graph = Graph.from_problem(problem_of(affinity))
+    row["objective"] = graph.objective(answer.labels.cpu().numpy())
+    label, row["seconds_greedy"], _ = timed("cpu", lambda: greedy(graph))
+    row["objective_greedy"] = graph.objective(label)
+    (label, _), seconds, _ = timed("cpu", lambda: refine(graph, label, restarts=0))
+    row["seconds_moves"] = row["seconds_greedy"] + seconds
+    row["objective_moves"] = graph.objective(label)
+    return [row]
+
+
+def batch_rows(count, device):
+    """Many small problems together, and each by itself."""
+    affinities = [affinity.to(device) for affinity in small(count)]
+    graph = Graph.from_problems([problem_of(affinity) for affinity in affinities])
+    label, seconds_greedy, _ = timed("cpu", lambda: greedy(graph))
+    (moved, _), seconds, _ = timed("cpu", lambda: refine(graph, label, restarts=0))
+    row = {"device": device, "problems": count, "m": sum(map(len, affinities))}
+    row["pairs"] = sum(affinity.pairs.shape[1] for affinity in affinities)
+    row |= {"seconds_greedy": seconds_greedy, "objective_greedy": graph.objective(label)}
+    row |= {"seconds_moves": seconds_greedy + seconds, "objective_moves": graph.objective(moved)}
+    ways = {
+        "batch": lambda: mx.solve(affinities),
+        "one by one": lambda: [mx.solve(affinity) for affinity in affinities],
+    }
+    rows = []
+    for series, solve in ways.items():
+        answers, seconds, peak = timed(device, solve)
+        objective = sum(answer.objective for answer in answers)
+        rows.append(row | {"series": series, "seconds": seconds, "peak_mib": peak})
+        rows[-1]["objective"] = objective
+    return rows
+
+
+def profile(frames):
+    """Where the time of one solve goes, as text."""
+    affinity = video(frames)
+    mx.solve(video(6))
+    with cProfile.Profile() as profiler:
+        mx.solve(replace(affinity))
+    stats = pstats.Stats(profiler).strip_dirs().sort_stats("cumulative")
+    lines = []
+    for (file, _, name), (_, calls, own, total, _) in stats.stats.items():
+        if total > 0.01:
+            lines.append((total, f"{total:8.2f} {own:8.2f} {calls:8d}  {file} {name}"))
+    shown = [line for _, line in sorted(lines, reverse=True)[:40]]
+    return "\n".join([f"m = {len(affinity)}", "   total      own    calls", *shown, ""])
+
+
+def run(quick):
+    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    steps = [
+        *(("degree", frames) for frames in (FRAMES[:3] if quick else FRAMES)),
+        *(("dense", m) for m in (DENSE[:3] if quick else DENSE)),
+        ("batch", 64 if quick else PROBLEMS),
+    ]
+    rows = []
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        for device in devices:
+            for series, size in tqdm(steps, device, disable=None):
+                rows += pool.submit(step, series, size, device).result()
+    return rows
+
+
+def main(argv=None):
+    arguments = comparison.arguments((__file__, __doc__), argv, "small sizes only")
+    if not arguments.from_rows:
+        comparison.write(arguments.out / "rows.csv", COLUMNS, run(arguments.quick))
+        frames = FRAMES[2] if arguments.quick else FRAMES[-1]
+        (arguments.out / "profile.txt").write_text(profile(frames))
+    rows = comparison.read(arguments.out / "rows.csv")
+    text = table(rows)
+    (arguments.out / "table.md").write_text(text)
+    plot(rows, arguments.out / "scaling.png")
+    return text
+
+
+def table(rows):
+    lines = [
+        "| series | device | m | pairs | s | ms a problem | MiB | objective | greedy | s "
+        "| greedy + moves | s |",
+        "|---|---|" + "---:|" * 10,
+    ]
+    for row in rows:
+        each = 1000 * row["seconds"] / row["problems"]
+        lines.append(
+            f"| {row['series']} | {row['device']} | {row['m']:.0f} | {row['pairs']:.0f} "
+            f"| {row['seconds']:.3f} | {each:.2f} | {row['peak_mib']:.0f} "
+            f"| {row['objective']:.2f} | {row['objective_greedy']:.2f} "
+            f"| {row['seconds_greedy']:.3f} | {row['objective_moves']:.2f} "
+            f"| {row['seconds_moves']:.3f} |"
+        )
+    return "\n".join([*lines, "", f"{comparison.machine()}.", ""])
+
+
+def plot(rows, path):
+    """Seconds and memory against m, both axes logarithmic."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    for (series, device), group in comparison.grouped(rows, "series", "device").items():
+        m = [row["m"] for row in group]
+        for axis, key in zip(axes, ("seconds", "peak_mib"), strict=True):
+            axis.plot(m, [row[key] for row in group], "o-", label=f"{series}, {device}")
+    for axis, name in zip(axes, ("time, s", "peak memory, MiB"), strict=True):
+        axis.set(xscale="log", yscale="log", xlabel="observations m", ylabel=name)
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    print(main())
