@@ -23,7 +23,8 @@ from mixer_torch.solvers.graph import Graph, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
-LARGEST = 2000  # nodes of a part, up to which dense matrices pay
+LARGEST_CPU = 300  # nodes of a part, up to which the gradient stage is worth its time
+LARGEST_GPU = 2000
 CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
 
 
@@ -149,7 +150,8 @@ class Joint:
     ) -> dict[int, Relaxed]:
         """What the gradient stage makes of each part that is neither trivial nor too large."""
         size = np.diff(self.parts.start)
-        which = np.flatnonzero((size > 2) & (size <= LARGEST))
+        largest = LARGEST_CPU if self.like.device.type == "cpu" else LARGEST_GPU
+        which = np.flatnonzero((size > 2) & (size <= largest))
         first = np.unique(label, return_index=True)[1]
         clusters = np.bincount(self.parts.part[first], minlength=len(size))
         columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
