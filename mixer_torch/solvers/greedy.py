@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import compiled, inner
 from mixer_torch.solvers.graph import Graph
 
 
@@ -24,6 +24,9 @@ def greedy(graph: Graph) -> np.ndarray:
         (n,) int64, each cluster named by its first member.
     """
     return _contract(graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token)
+
+
+_ROOT = np.int64(0)  # of the heap
 
 
 class Cells(NamedTuple):
@@ -63,7 +66,7 @@ def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-un
         value, cell = key[0], entry[0]
         size -= 1
         key[0], entry[0] = key[size], entry[size]
-        _sift_down(key, entry, size, 0)
+        _sift_down(key, entry, size, _ROOT)
         if cells.far[cell] < 0 or cells.cost[cell] != value:
             continue
         a, b = cells.far[cells.twin[cell]], cells.far[cell]
@@ -90,7 +93,7 @@ def _token_chains(token_start, count):  # type: ignore[no-untyped-def]
     return held, next_held
 
 
-@compiled
+@inner
 def _fill_heap(start, neighbour, cost, key, entry):  # type: ignore[no-untyped-def]
     """All negative costs as a heap, one entry an edge; returns its size."""
     size = 0
@@ -124,7 +127,7 @@ def _cells(start, neighbour, cost):  # type: ignore[no-untyped-def]
     return Cells(neighbour.copy(), cost.copy(), after, twin, first, last, np.diff(start), mark)
 
 
-@compiled
+@inner
 def _join(cells, a, b, key, entry, size):  # type: ignore[no-untyped-def]
     """The cells of b go over to a; costs to a common neighbour add up and enter the heap anew."""
     _drop_dead(cells, a)
@@ -166,7 +169,7 @@ def _join(cells, a, b, key, entry, size):  # type: ignore[no-untyped-def]
     return size
 
 
-@compiled
+@inner
 def _drop_dead(cells, a):  # type: ignore[no-untyped-def]
     """Unlink the dead cells of a; at least the cell that makes it join is alive."""
     cell, behind = cells.first[a], np.int32(-1)
@@ -186,7 +189,7 @@ def _drop_dead(cells, a):  # type: ignore[no-untyped-def]
         cells.after[behind] = -1
 
 
-@compiled
+@inner
 def _share(i, j, next_held, token):  # type: ignore[no-untyped-def]
     """Whether two ascending token lists have one in common."""
     while i >= 0 and j >= 0:
@@ -199,7 +202,7 @@ def _share(i, j, next_held, token):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled
+@inner
 def _union(i, j, next_held, token):  # type: ignore[no-untyped-def]
     """One ascending list of two without common tokens; returns its head."""
     if i < 0 or j < 0:
@@ -235,12 +238,12 @@ def _named(parent):  # type: ignore[no-untyped-def]
     return label
 
 
-@compiled
+@inner
 def _before(key, entry, i, j):  # type: ignore[no-untyped-def]
     return key[i] < key[j] or (key[i] == key[j] and entry[i] < entry[j])
 
 
-@compiled
+@inner
 def _sift_down(key, entry, size, i):  # type: ignore[no-untyped-def]
     while True:
         child = 2 * i + 1
@@ -255,7 +258,7 @@ def _sift_down(key, entry, size, i):  # type: ignore[no-untyped-def]
         i = child
 
 
-@compiled
+@inner
 def _sift_up(key, entry, i):  # type: ignore[no-untyped-def]
     while i > 0:
         parent = (i - 1) // 2

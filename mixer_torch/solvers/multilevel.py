@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import compiled, inner
 from mixer_torch.solvers.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.region import carriers_of, named, search_region
@@ -139,7 +139,7 @@ def _sweep(graph, carrier, names, sweeps):  # type: ignore[no-untyped-def]
     return names.label
 
 
-@compiled
+@inner
 def _best_label(graph, carrier, names, i, tiny, total, touched, seen):  # type: ignore[no-untyped-def]
     """Where node i costs least, -1 for where it is; the scratch is left as it was found."""
     start, neighbour, cost, _, _ = graph
@@ -164,7 +164,7 @@ def _best_label(graph, carrier, names, i, tiny, total, touched, seen):  # type: 
     return target
 
 
-@compiled
+@inner
 def _wake(graph, carrier, wake, i):  # type: ignore[no-untyped-def]
     start, neighbour, _, token_start, token = graph
     for e in range(start[i], start[i + 1]):
@@ -174,7 +174,7 @@ def _wake(graph, carrier, wake, i):  # type: ignore[no-untyped-def]
             wake[carrier[1][f]] = True
 
 
-@compiled
+@inner
 def _is_open(graph, carrier, names, i, c):  # type: ignore[no-untyped-def]
     _, _, _, token_start, token = graph
     carrier_start, carrier_node = carrier
@@ -185,7 +185,7 @@ def _is_open(graph, carrier, names, i, c):  # type: ignore[no-untyped-def]
     return True
 
 
-@compiled
+@inner
 def _rename(names, i, target):  # type: ignore[no-untyped-def]
     own = names.label[i]
     if names.size[target] == 0:
