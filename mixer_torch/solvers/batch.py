@@ -15,7 +15,9 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.decomposition import Parts
 from mixer_torch.solvers.graph import Graph, shares_token
 
-ENTRIES_CPU = 2**17  # of a batch's matrix: what stays in the cache
+# of a batch: few enough that torch does not split elementwise kernels among threads (32768), whose
+# waiting for each other takes many times longer than the work where cores are shared
+ENTRIES_CPU = 2**14
 ENTRIES_GPU = 2**24  # what keeps the device busy
 
 

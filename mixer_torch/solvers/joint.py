@@ -23,7 +23,7 @@ from mixer_torch.solvers.graph import Graph, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
-LARGEST_CPU = 300  # nodes of a part, up to which the gradient stage is worth its time
+LARGEST_CPU = 180  # nodes of a part for the gradient stage: 180^2 entries are not split among threads
 LARGEST_GPU = 2000
 CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
 
