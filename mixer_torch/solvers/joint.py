@@ -23,7 +23,8 @@ from mixer_torch.solvers.graph import Graph, compact
 from mixer_torch.solvers.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
-LARGEST_CPU = 180  # nodes of a part for the gradient stage: 180^2 entries are not split among threads
+# nodes of a part for the gradient stage; on a CPU, torch leaves matrices of that size to one thread
+LARGEST_CPU = 180
 LARGEST_GPU = 2000
 CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
 
