@@ -7,6 +7,9 @@ import pytest
 import torch
 
 
+torch.set_num_threads(1)  # tests run side by side, one a core
+
+
 def pytest_collection_modifyitems(items):
     no_data = pytest.mark.skip(reason="MIXER_DATA is not set")
     no_cuda = pytest.mark.skip(reason="there is no CUDA device")
