@@ -13,8 +13,8 @@ from mixer_torch.scoring import Calibrator, Scorer
 from scorers.calibration import Logistic, PiecewiseLinear
 from scorers.sift_features import KorniaKeypoints, OpenCVKeypoints, keypoints_of, points_of
 
-MEMORY = 1 << 21
-"""Numbers held at a time for each of the arrays that matching needs: 8 MiB in float32."""
+MEMORY = {"cpu": 1 << 22, "cuda": 1 << 26}
+"""Similarities of descriptors held at a time, by kind of device."""
 
 
 class SIFT(Scorer):
@@ -129,10 +129,11 @@ class SIFT(Scorer):
         order = torch.argsort(needed)
         # Pairs of few keypoints go together, so that little is computed on padding.
         ends = needed[order].cpu()
+        room = MEMORY.get(descriptors.device.type, MEMORY["cpu"])
         start = int((ends == 0).sum())
         while start < len(order):
             width = int(ends[min(start + 255, len(order) - 1)])
-            stop = min(start + max(MEMORY // (width * max(width, 128)), 1), len(order))
+            stop = min(start + max(room // (width * max(width, 128)), 1), len(order))
             width = int(ends[stop - 1])
             chunk = order[start:stop]
             a, b = pairs[:, chunk]
