@@ -32,8 +32,8 @@ import mixer_torch as mx
 from mixer_torch.benchmarks import comparison
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import problem_of
-from mixer_torch.solvers.graph import Graph
-from mixer_torch.solvers.greedy import greedy
+from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
 DETECTIONS, WINDOW = 50, 2  # in a frame; frames between the two of a pair

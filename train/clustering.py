@@ -1,6 +1,6 @@
 """Training through the clustering: a loss on U Uᵀ of the relaxed problem, and its derivative.
 
-The relaxed problem with rows on the simplex (see :mod:`mixer_torch.solvers.annealing`),
+The relaxed problem with rows on the simplex (see :mod:`mixer_torch.solvers.gradient.annealing`),
 
     minimise  F(U) = <U Uᵀ, Ā> / |λ| + w <U Uᵀ, P_d> − c ‖U‖²,   λ the least eigenvalue of Ā,
 
@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from mixer_torch.fusion import LogOddsFusion
-from mixer_torch.solvers.annealing import extreme_eigenvalues
+from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
 from mixer_torch.solvers.relaxation import distinctness_matrix, project_to_simplex
 from scorers.fitted import log_ratio_of
 from scorers.learned import SURE, EvidenceNetwork, load_network

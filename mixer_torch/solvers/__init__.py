@@ -1,1 +1,1 @@
-"""Solvers, one algorithm a file."""
+"""Solvers, one algorithm a file; what MIXER and Exact are made of is in the folders."""

@@ -11,11 +11,11 @@ from scipy.sparse.csgraph import breadth_first_order
 from mixer_torch.affinity import Affinity
 from mixer_torch.fusion import Fusion
 from mixer_torch.solvers.base import Problem, problem_of
-from mixer_torch.solvers.branching import dense
-from mixer_torch.solvers.decomposition import decompose
-from mixer_torch.solvers.dual_ascent import ascend
-from mixer_torch.solvers.graph import Graph
-from mixer_torch.solvers.parts import graph_of, induced
+from mixer_torch.solvers.moves.decomposition import decompose
+from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.proof.branching import dense
+from mixer_torch.solvers.proof.dual_ascent import ascend
+from mixer_torch.solvers.proof.parts import graph_of, induced
 
 BLOCK = 1000  # nodes whose pairs are held as a full matrix
 
@@ -26,10 +26,10 @@ def lower_bound(
     """A number that no clustering's objective is below.
 
     Each connected component of the negative costs is bounded by dual ascent on 2-partition
-    inequalities (:func:`~mixer_torch.solvers.dual_ascent.ascend`), which triangle inequalities and
-    the assignments between a node and a view are cases of. A component of more than 1000 nodes is
-    split into blocks of neighbours, and the negative costs between blocks are added as they are:
-    valid, but only good where few pairs lie between.
+    inequalities (:func:`~mixer_torch.solvers.proof.dual_ascent.ascend`), which triangle
+    inequalities and the assignments between a node and a view are cases of. A component of more
+    than 1000 nodes is split into blocks of neighbours, and the negative costs between blocks are
+    added as they are: valid, but only good where few pairs lie between.
 
     Args:
         problem: The problem, or the affinity that poses it.

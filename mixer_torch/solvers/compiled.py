@@ -27,7 +27,7 @@ def _version() -> str:
     only at the kernel's own file to see whether it is still good.
     """
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         text = path.read_bytes()
         if b"@compiled" in text or b"@inner" in text:
             digest.update(text)

@@ -9,10 +9,10 @@ import torch
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
-from mixer_torch.solvers.branching import BranchAndCut
-from mixer_torch.solvers.decomposition import cut_along, decompose
-from mixer_torch.solvers.graph import compact
-from mixer_torch.solvers.parts import graph_of, induced
+from mixer_torch.solvers.moves.decomposition import cut_along, decompose
+from mixer_torch.solvers.moves.graph import compact
+from mixer_torch.solvers.proof.branching import BranchAndCut
+from mixer_torch.solvers.proof.parts import graph_of, induced
 
 
 class Exact(Solver):
@@ -22,9 +22,9 @@ class Exact(Solver):
                   x_ab + x_bc - x_ac <= 1 for all a, b, c
 
     Each connected component of the negative costs is solved apart. Of the inequalities, and of
-    stronger ones (:class:`~mixer_torch.solvers.cuts.Cuts`), only those are added that the linear
-    relaxation breaks; reduced costs against the best known clustering decide most pairs; what is
-    left is branched on, lowest bound first.
+    stronger ones (:class:`~mixer_torch.solvers.proof.cuts.Cuts`), only those are added that the
+    linear relaxation breaks; reduced costs against the best known clustering decide most pairs;
+    what is left is branched on, lowest bound first.
 
     Args:
         time_limit: Seconds after which the best clustering comes back with status ``TIME_LIMIT``

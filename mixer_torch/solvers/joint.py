@@ -16,11 +16,11 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution
-from mixer_torch.solvers.batch import Batch, buckets
-from mixer_torch.solvers.decomposition import Parts, cut_along, decompose, part_costs
-from mixer_torch.solvers.gradient import GradientStage, Relaxed
-from mixer_torch.solvers.graph import Graph, compact
-from mixer_torch.solvers.greedy import greedy
+from mixer_torch.solvers.gradient.batch import Batch, buckets
+from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
+from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose, part_costs
+from mixer_torch.solvers.moves.graph import Graph, compact
+from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.refinement import refine
 
 # nodes of a part for the gradient stage; on a CPU, torch leaves matrices of that size to one thread

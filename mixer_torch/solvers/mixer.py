@@ -9,8 +9,8 @@ import torch
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
-from mixer_torch.solvers.batch import Batch, buckets
-from mixer_torch.solvers.gradient import GradientStage, Relaxed
+from mixer_torch.solvers.gradient.batch import Batch, buckets
+from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
 
 Schedule = Literal["anneal", "penalty"]

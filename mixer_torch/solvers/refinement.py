@@ -11,12 +11,12 @@ import numpy as np
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled, mix
-from mixer_torch.solvers.decomposition import Parts, cut_along, decompose
-from mixer_torch.solvers.graph import Graph, arrays_of, compact, named_by_member
-from mixer_torch.solvers.multilevel import refine_large
-from mixer_torch.solvers.region import Names, carriers_of, named, search_region
-from mixer_torch.solvers.search import COURSE, DESCENDED, DISTURBED, REHEATED, new_course
-from mixer_torch.solvers.search import RESTARTS as RUN
+from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.moves.graph import Graph, arrays_of, compact, named_by_member
+from mixer_torch.solvers.moves.multilevel import refine_large
+from mixer_torch.solvers.moves.region import Names, carriers_of, named, search_region
+from mixer_torch.solvers.moves.search import COURSE, DESCENDED, DISTURBED, REHEATED, new_course
+from mixer_torch.solvers.moves.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
 RESTARTS = 100  # of one part at most

@@ -3,13 +3,13 @@
 import torch
 
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.annealing import anneal, extreme_eigenvalues
 from mixer_torch.solvers.base import Problem, problem_of
-from mixer_torch.solvers.batch import ENTRIES_CPU, Batch, buckets
-from mixer_torch.solvers.decomposition import decompose
-from mixer_torch.solvers.descent import descend
-from mixer_torch.solvers.gradient import spectral_start
-from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.gradient.annealing import anneal, extreme_eigenvalues
+from mixer_torch.solvers.gradient.batch import ENTRIES_CPU, Batch, buckets
+from mixer_torch.solvers.gradient.descent import descend
+from mixer_torch.solvers.gradient.stage import spectral_start
+from mixer_torch.solvers.moves.decomposition import decompose
+from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.relaxation import distinctness_matrix
 
 

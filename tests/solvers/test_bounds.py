@@ -12,9 +12,9 @@ from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers import bounds
 from mixer_torch.solvers.base import problem_of
 from mixer_torch.solvers.bounds import lower_bound, split
-from mixer_torch.solvers.cuts import Cuts, rows_of, separate
-from mixer_torch.solvers.dual_ascent import ascend
-from mixer_torch.solvers.parts import graph_of
+from mixer_torch.solvers.proof.cuts import Cuts, rows_of, separate
+from mixer_torch.solvers.proof.dual_ascent import ascend
+from mixer_torch.solvers.proof.parts import graph_of
 
 
 def test_never_above_the_optimum_and_mostly_at_it():

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.matching import assign, matching_scratch
+from mixer_torch.solvers.moves.matching import assign, matching_scratch
 
 
 @compiled

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from mixer_torch.solvers.projection import project_rows
+from mixer_torch.solvers.gradient.projection import project_rows
 from mixer_torch.solvers.relaxation import project_to_row_sum_at_most_one, project_to_simplex
 
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of
-from mixer_torch.solvers.graph import Graph
-from mixer_torch.solvers.greedy import greedy
+from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.refinement import refine, restarts_of
 
 

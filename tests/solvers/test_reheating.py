@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from mixer_torch.solvers.clustering import build
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.graph import Graph
-from mixer_torch.solvers.reheating import reheat
+from mixer_torch.solvers.moves.clustering import build
+from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.moves.reheating import reheat
 
 
 @compiled

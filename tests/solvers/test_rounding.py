@@ -4,8 +4,8 @@ import itertools
 
 import torch
 
-from mixer_torch.solvers.batch import Batch
-from mixer_torch.solvers.rounding import binary_labels, nearest_labels
+from mixer_torch.solvers.gradient.batch import Batch
+from mixer_torch.solvers.gradient.rounding import binary_labels, nearest_labels
 
 
 def test_nearest_against_all_assignments_of_a_view():

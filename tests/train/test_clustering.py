@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from mixer_torch.solvers.annealing import extreme_eigenvalues
+from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
 from train.clustering import Relaxation, association_loss
 
 

@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from mixer_torch.solvers.annealing import anneal
-from mixer_torch.solvers.batch import Batch, Descent, continued
-from mixer_torch.solvers.descent import descend
 from mixer_torch.solvers.eigen import eigh
-from mixer_torch.solvers.rounding import binary_labels, nearest_labels
+from mixer_torch.solvers.gradient.annealing import anneal
+from mixer_torch.solvers.gradient.batch import Batch, Descent, continued
+from mixer_torch.solvers.gradient.descent import descend
+from mixer_torch.solvers.gradient.rounding import binary_labels, nearest_labels
 
 ANNEALING = 100  # iterations
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.clustering import enter, leave, list_slots
 from mixer_torch.solvers.compiled import NONE, compiled, inner
+from mixer_torch.solvers.moves.clustering import enter, leave, list_slots
 
 
 class Exchange(NamedTuple):

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.decomposition import Parts
-from mixer_torch.solvers.graph import Graph, shares_token
+from mixer_torch.solvers.moves.decomposition import Parts
+from mixer_torch.solvers.moves.graph import Graph, shares_token
 
 # of a batch: few enough that torch does not split elementwise kernels among threads (32768), whose
 # waiting for each other takes many times longer than the work where cores are shared

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixer_torch.solvers.compiled import compiled, inner
-from mixer_torch.solvers.graph import Graph
+from mixer_torch.solvers.moves.graph import Graph
 
 
 def greedy(graph: Graph) -> np.ndarray:

@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mixer_torch.solvers.batch import Batch, Descent
-from mixer_torch.solvers.projection import project_rows
+from mixer_torch.solvers.gradient.batch import Batch, Descent
+from mixer_torch.solvers.gradient.projection import project_rows
 
 MOMENTUM = 0.5
 RELAXATION = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot

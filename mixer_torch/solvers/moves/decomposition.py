@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.graph import Graph, compact
+from mixer_torch.solvers.moves.graph import Graph, compact
 
 
 class Parts(NamedTuple):

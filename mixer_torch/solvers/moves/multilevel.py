@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from mixer_torch.solvers.compiled import compiled, inner
-from mixer_torch.solvers.graph import Graph, arrays_of, compact
-from mixer_torch.solvers.greedy import greedy
-from mixer_torch.solvers.region import carriers_of, named, search_region
-from mixer_torch.solvers.search import COURSE, PRECISION, new_course
+from mixer_torch.solvers.moves.graph import Graph, arrays_of, compact
+from mixer_torch.solvers.moves.greedy import greedy
+from mixer_torch.solvers.moves.region import carriers_of, named, search_region
+from mixer_torch.solvers.moves.search import COURSE, PRECISION, new_course
 
 REGION = 96  # nodes that are free to move in one region
 SWEEPS = 50  # most sweeps over all nodes in one go

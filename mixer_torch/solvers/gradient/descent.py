@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mixer_torch.solvers.batch import Batch, Descent
-from mixer_torch.solvers.projection import project_rows
+from mixer_torch.solvers.gradient.batch import Batch, Descent
+from mixer_torch.solvers.gradient.projection import project_rows
 
 ARMIJO = 1e-4  # share of the predicted decrease that a step must reach
 SHRINK, GROW = 0.25, 2.0  # of the step size, where it did not and where it did

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int64
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from mixer_torch.solvers.batch import Batch
+from mixer_torch.solvers.gradient.batch import Batch
 from mixer_torch.solvers.relaxation import is_binary
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.graph import Graph
-from mixer_torch.solvers.search import carriers, search
+from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.moves.search import carriers, search
 
 
 class Names(NamedTuple):

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.clustering import build, fits, merge, move, relocate, restore
 from mixer_torch.solvers.compiled import NONE, compiled, draw, inner, shuffle
-from mixer_torch.solvers.exchange import Exchange, exchange_all, exchange_scratch
-from mixer_torch.solvers.matching import Matching, matching_scratch, rematch
-from mixer_torch.solvers.reheating import reheat
+from mixer_torch.solvers.moves.clustering import build, fits, merge, move, relocate, restore
+from mixer_torch.solvers.moves.exchange import Exchange, exchange_all, exchange_scratch
+from mixer_torch.solvers.moves.matching import Matching, matching_scratch, rematch
+from mixer_torch.solvers.moves.reheating import reheat
 
 PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
 # what a search is resumed from, and what it did: an array of so many numbers

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mixer_torch.solvers.cuts import separate
-from mixer_torch.solvers.dual_ascent import ascend
-from mixer_torch.solvers.graph import Graph, compact
-from mixer_torch.solvers.pair_program import Optimum, PairProgram
+from mixer_torch.solvers.moves.graph import Graph, compact
+from mixer_torch.solvers.proof.cuts import separate
+from mixer_torch.solvers.proof.dual_ascent import ascend
+from mixer_torch.solvers.proof.pair_program import Optimum, PairProgram
 from mixer_torch.solvers.refinement import refine
 
 DECIDED = 1e-6

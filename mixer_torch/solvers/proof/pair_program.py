@@ -9,7 +9,7 @@ import highspy
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from mixer_torch.solvers.cuts import Cuts, rows_of
+from mixer_torch.solvers.proof.cuts import Cuts, rows_of
 
 TOLERANCE = 1e-9
 ROUNDING = 1e-13

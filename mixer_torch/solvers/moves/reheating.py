@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixer_torch.solvers.clustering import enter, leave
 from mixer_torch.solvers.compiled import NONE, draw, inner
+from mixer_torch.solvers.moves.clustering import enter, leave
 
 _NOISES = 1024  # a power of two
 # Gumbel noise: the lowest of cost - temperature * noise is a draw from exp(-cost / temperature)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.cuts import Cuts, rows_of, separate
+from mixer_torch.solvers.proof.cuts import Cuts, rows_of, separate
 
 SOFTEST, HARDEST, HARDENING = 0.3, 0.003, 0.92
 SWEEPS = 10  # over all cuts, between two searches for new ones
