@@ -11,6 +11,7 @@ from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.moves.decomposition import cut_along, decompose
 from mixer_torch.solvers.moves.graph import compact
+from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.proof.branching import BranchAndCut
 from mixer_torch.solvers.proof.parts import graph_of, induced
 
@@ -63,9 +64,10 @@ class Exact(Solver):
             "nodes": sum(proof.nodes for proof in proofs),
             "cuts": sum(proof.cuts for proof in proofs),
         }
+        found = torch.from_numpy(compact(labels)).to(problem.view.device)
         return Solution(
             Status.OPTIMAL if proven else Status.TIME_LIMIT,
-            labels=torch.from_numpy(compact(labels)).to(problem.view.device),
+            labels=without_idle_links(problem, found),
             lower_bound=bound,
             stats=stats,
         )

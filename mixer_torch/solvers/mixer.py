@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import ClassVar, Literal, get_args
 
 import torch
@@ -12,6 +13,7 @@ from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.gradient.batch import Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
+from mixer_torch.solvers.parsimony import without_idle_links
 
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
@@ -102,6 +104,7 @@ class Mixer(Solver):
                 solutions = solve_side_by_side(
                     chosen, self.gradient, self.restarts, self.seed, clock, tell
                 )
+                solutions = list(map(_claiming_least, chosen, solutions))
             else:
                 solutions = self._relaxed(chosen, clock, tell)
             answers.update(zip(group, solutions, strict=True))
@@ -145,6 +148,12 @@ def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
     }
     status = Status.CONVERGED if relaxed.binary else Status.ROUNDED
     return Solution(status, labels=relaxed.labels, stats=stats)
+
+
+def _claiming_least(problem: Problem, solution: Solution) -> Solution:
+    if solution.labels is None:
+        return solution
+    return replace(solution, labels=without_idle_links(problem, solution.labels))
 
 
 def _check(name: str, value: str, choice: object) -> None:
