@@ -14,6 +14,7 @@ from mixer_torch.solvers.gradient.batch import Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.refinement import RESTARTS
 
 Schedule = Literal["anneal", "penalty"]
 Projection = Literal["row_sum_at_most_one", "simplex"]
@@ -65,7 +66,7 @@ class Mixer(Solver):
         schedule: str | None = None,
         projection: str = "row_sum_at_most_one",
         refine: bool = True,
-        restarts: int = 100,
+        restarts: int = RESTARTS,
         time_limit: float | None = None,
         seed: int = 0,
         precision: str = "float32",

@@ -19,7 +19,7 @@ from mixer_torch.solvers.moves.search import COURSE, DESCENDED, DISTURBED, REHEA
 from mixer_torch.solvers.moves.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
-RESTARTS = 100  # of one part at most
+RESTARTS = 150  # of one part at most
 FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
