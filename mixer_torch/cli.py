@@ -11,17 +11,20 @@ from importlib import resources
 
 from jsonargparse import ArgumentParser
 
-from mixer_torch import commands
+from mixer_torch.commands.associate import associate, score, solve
+from mixer_torch.commands.bench import bench
+from mixer_torch.commands.evaluate import evaluate
+from mixer_torch.commands.members import list_members
 from mixer_torch.progress import Bars
 
 COMMANDS: dict[str, Callable[..., str]] = {
-    "demo": commands.associate,
-    "associate": commands.associate,
-    "score": commands.score,
-    "solve": commands.solve,
-    "evaluate": commands.evaluate,
-    "bench": commands.bench,
-    "list": commands.list_members,
+    "demo": associate,
+    "associate": associate,
+    "score": score,
+    "solve": solve,
+    "evaluate": evaluate,
+    "bench": bench,
+    "list": list_members,
 }
 SUMMARIES = {"demo": "Run `associate` on the parking lot that comes with the project."}
 GIVEN = ("config", "progress")

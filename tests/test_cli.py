@@ -312,7 +312,7 @@ def test_faults_of_the_program_are_not_hidden(mixer, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("mixer_torch.commands.solve_affinity", broken)
+    monkeypatch.setattr("mixer_torch.commands.associate.solve_affinity", broken)
     with pytest.raises(RuntimeError, match="a bug"):
         main(["associate", "--config", write_config(), "--out", "result"])
 
