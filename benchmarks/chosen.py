@@ -25,7 +25,7 @@ CHOSEN = {
     },
     "pets": {
         "All-pairs": {"threshold": 0.6},
-        "CLEAR": {"evidence": "attraction"},
+        "CLEAR": {"evidence": "assignment"},
         "Consecutive": {"threshold": 0.5},
         "Hungarian": {"threshold": 0.5},
         "MatchALS": {"evidence": "score"},
