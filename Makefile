@@ -3,8 +3,11 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# trackeval asks for the OpenCV with windows, which would overwrite the one without: it uses neither.
+TRACKEVAL := $(INSTALL) --no-deps trackeval pycocotools tabulate
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint peers clean
 
 demo: .venv/installed
 	$(BIN)/mixer demo
@@ -17,16 +20,22 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# The trackers that benchmarks/tracking.py compares with; they, too, ask for the other OpenCV.
+peers: .venv/installed
+	$(INSTALL) --no-deps -r benchmarks/peers.txt
+
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed, this is " + sys.version.split()[0] + "; name another: make PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(INSTALL) -e .
+	$(TRACKEVAL)
 	@touch $@
 
 .venv/installed-dev: pyproject.toml constraints.txt | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(INSTALL) -e '.[dev]'
+	$(TRACKEVAL)
 	@touch $@ .venv/installed
 
 clean:

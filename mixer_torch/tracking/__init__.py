@@ -1,0 +1,1 @@
+"""Tracking as association: the same three nouns, applied to frames and then to tracklets."""
