@@ -49,18 +49,18 @@ def _cells_as_text(rows, columns, bold, underline, pattern):
 def markdown_table(dataset, rows, columns, paper):
     """Precision/recall and F1 ± spread; best F1 of a column bold, of the table underlined."""
     seeds = len({row["seed"] for row in rows})
+    several = f" ± its standard deviation over {seeds} scenes" if seeds > 1 else " on one scene"
     lines = [
         f"## {dataset}",
         "",
-        f"Precision/recall, F1 ± its standard deviation over {seeds} "
-        f"{'scene' if seeds == 1 else 'scenes'}. Bold: best F1 of the column; underlined: of the "
-        "table. " + ("*Italics: the paper's own, on its own data.*" if paper else ""),
+        f"Precision/recall, F1{several}. Bold: best F1 of the column; underlined: of the table. "
+        + ("*Italics: the paper's own, on its own data.*" if paper else ""),
         "",
         "| | " + " | ".join(columns.values()) + " | consistent |",
         "|---" * (len(columns) + 2) + "|",
     ]
     consistent = {a: min(r["consistent"] == "True" for r in g) for (a,), g in by_name(rows).items()}
-    pattern = "{:.2f}/{:.2f} {:.3f} ± {:.3f}"
+    pattern = "{:.2f}/{:.2f} {:.3f}" + (" ± {:.3f}" if seeds > 1 else "")
     for algorithm, texts in _cells_as_text(rows, columns, "**{}**", "<u>{}</u>", pattern):
         if algorithm in paper:
             figures = zip(texts, paper[algorithm], strict=True)

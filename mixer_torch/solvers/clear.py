@@ -9,18 +9,17 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
+    Synchronization,
     bounded_universe,
-    check_evidence,
-    check_universe,
     evidence_matrix,
     normalized_laplacian,
 )
 
 
-class Clear(Solver):
+class Clear(Synchronization):
     """Consistent lifting, embedding and alignment rectification.
 
     1. The universe: as many objects as the Laplacian (D + I)^-1/2 (D − W) (D + I)^-1/2 has
@@ -42,13 +41,6 @@ class Clear(Solver):
         evidence: What scores become; :mod:`mixer_torch.solvers.synchronization` has the kinds.
         threshold: Eigenvalues below it are counted as objects.
     """
-
-    def __init__(
-        self, universe: int | None = None, evidence: str = "match", threshold: float = 0.5
-    ) -> None:
-        self.universe = check_universe(universe)
-        self.evidence = check_evidence(evidence)
-        self.threshold = threshold
 
     def run(self, problem: Problem) -> Solution:
         weight = evidence_matrix(problem, self.evidence)

@@ -5,20 +5,16 @@ from __future__ import annotations
 import torch
 
 from mixer_torch.pairs import within_view
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
+    Synchronization,
     best_matches,
-    bounded_universe,
-    check_evidence,
-    check_universe,
-    evidence_matrix,
     solution_of_links,
-    universe_size,
 )
 
 
-class MatchEIG(Solver):
+class MatchEIG(Synchronization):
     """The best approximation of rank k to the matches, made one-to-one between each two views.
 
         minimise  ‖X − (W + I)‖_F  subject to  rank X ≤ k
@@ -44,14 +40,10 @@ class MatchEIG(Solver):
     def __init__(
         self, universe: int | None = None, evidence: str = "match", threshold: float = 0.25
     ) -> None:
-        self.universe = check_universe(universe)
-        self.evidence = check_evidence(evidence)
-        self.threshold = threshold
+        super().__init__(universe, evidence, threshold)
 
     def run(self, problem: Problem) -> Solution:
-        weight = evidence_matrix(problem, self.evidence)
-        size = self.universe or universe_size(weight, problem.view)
-        size = bounded_universe(size, problem.view)
+        weight, size = self.given(problem)
         values, vectors = eigh(weight + torch.eye(len(weight)).to(weight))
         leading = values.abs().argsort(descending=True)[:size]
         root = vectors[:, leading] * values[leading].abs().sqrt()

@@ -7,19 +7,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.synchronization import (
-    bounded_universe,
-    check_evidence,
-    check_universe,
-    evidence_matrix,
+    Synchronization,
     greedy_rounding,
-    universe_size,
 )
 
 
-class Spectral(Solver):
+class Spectral(Synchronization):
     """The eigenvectors of the matches, rounded to objects.
 
     With W + I the matrix of pairwise matches and k the number of objects,
@@ -44,17 +40,8 @@ class Spectral(Solver):
         threshold: Least inner product of an observation and the one that started its object.
     """
 
-    def __init__(
-        self, universe: int | None = None, evidence: str = "match", threshold: float = 0.5
-    ) -> None:
-        self.universe = check_universe(universe)
-        self.evidence = check_evidence(evidence)
-        self.threshold = threshold
-
     def run(self, problem: Problem) -> Solution:
-        weight = evidence_matrix(problem, self.evidence)
-        size = self.universe or universe_size(weight, problem.view)
-        size = bounded_universe(size, problem.view)
+        weight, size = self.given(problem)
         vectors = embedding(weight, size)
         labels = greedy_rounding(vectors @ vectors.T, problem.view, self.threshold)
         return Solution(Status.CONVERGED, labels=labels, stats={"universe": size})

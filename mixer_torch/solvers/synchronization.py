@@ -26,10 +26,34 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, is_distinct
+from mixer_torch.solvers.base import Problem, Solution, Solver, is_distinct
 from mixer_torch.solvers.eigen import eigh
 
 Evidence = Literal["match", "assignment", "attraction", "score"]
+
+
+class Synchronization(Solver):
+    """What the spectral algorithms are set by, and the two things that they begin with.
+
+    Args:
+        universe: The number of objects, None to estimate it from the spectrum.
+        evidence: What scores become.
+        threshold: The algorithm's own.
+    """
+
+    def __init__(
+        self, universe: int | None = None, evidence: str = "match", threshold: float = 0.5
+    ) -> None:
+        self.universe = check_universe(universe)
+        self.evidence = check_evidence(evidence)
+        self.threshold = threshold
+
+    def given(self, problem: Problem) -> tuple[Float[Tensor, "m m"], int]:
+        """W, and the number of objects: as set or as estimated, no less than a view has."""
+        weight = evidence_matrix(problem, self.evidence)
+        if self.universe is None:
+            return weight, universe_size(weight, problem.view)
+        return weight, bounded_universe(self.universe, problem.view)
 
 
 def check_evidence(evidence: str) -> str:
