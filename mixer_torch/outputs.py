@@ -18,8 +18,10 @@ from torch import Tensor
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association
+from mixer_torch.fusion import Fusion
 from mixer_torch.metrics import evaluate
 from mixer_torch.observations import Observations
+from mixer_torch.retrieval_metrics import retrieval_of_affinity
 
 COLUMNS = ("observation", "view", "frame", "x1", "y1", "x2", "y2", "label")
 FILES = (
@@ -46,12 +48,14 @@ class Result:
         affinity: How alike.
         association: Who is who, by all modalities together.
         alone: The association that each modality makes alone; empty where that was not asked for.
+        fusion: How the modalities were added up; the paper's ``LinearFusion()`` if None.
     """
 
     observations: Observations
     affinity: Affinity
     association: Association
     alone: Mapping[str, Association] = field(default_factory=dict)
+    fusion: Fusion | None = None
 
     @property
     def identity(self) -> Tensor | None:
@@ -61,15 +65,22 @@ class Result:
     def metrics(self) -> dict[str, Any] | None:
         """``{"all": {...}, "alone": {modality: {...}}}``, "alone" only where there is any.
 
-        None where identities are not known.
+        Each is what :func:`~mixer_torch.metrics.evaluate` finds; a gallery of several cameras has
+        the figures of :mod:`~mixer_torch.retrieval_metrics` beside them. None where identities are
+        not known.
         """
         identity, view = self.identity, self.observations.view
         if identity is None:
             return None
-        metrics: dict[str, Any] = {"all": evaluate(self.association, identity, view)}
+
+        def measured(association: Association, affinity: Affinity, fusion: Fusion | None) -> Any:
+            ranked = retrieval_of_affinity(affinity, self.observations, fusion)
+            return evaluate(association, identity, view) | (ranked or {})
+
+        metrics = {"all": measured(self.association, self.affinity, self.fusion)}
         if self.alone:
             metrics["alone"] = {
-                name: evaluate(association, identity, view)
+                name: measured(association, self.affinity.select(name), None)
                 for name, association in self.alone.items()
             }
         return metrics

@@ -7,6 +7,8 @@ import torch
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
+from mixer_torch.commands.text import result_table
+from mixer_torch.fusion import LinearFusion
 from mixer_torch.observations import Observations
 from mixer_torch.outputs import (
     COLUMNS,
@@ -87,6 +89,23 @@ def test_metrics_are_of_all_and_where_there_are_any_of_each_alone():
     metrics = Result(observations, affinity, found(0, 1, 0, 1), {"A": found(0, 1, 1, 0)}).metrics()
     assert list(metrics) == ["all", "alone"]
     assert metrics["alone"]["A"]["f1"] == 0
+
+
+def test_a_gallery_of_several_cameras_is_ranked_too():
+    identity, camera = torch.tensor([0, 1, 0, 1]), torch.tensor([1, 1, 2, 2])
+    observations = Observations(torch.full((4,), -1), {"identity": identity, "camera": camera})
+    pairs = torch.tensor([[0, 0, 1, 1], [2, 3, 2, 3]])
+    scores = torch.tensor([[0.6, 0.4, 0.4, 0.6], [0.2, 0.9, 0.9, 0.2]])
+    affinity = Affinity(pairs, scores, observations.view, ("A", "B"))
+    alone = {"A": found(0, 1, 0, 1), "B": found(0, 1, 1, 0)}
+    weighted = LinearFusion({"B": 0.1})
+    for fusion, rank1 in ((None, 0), (weighted, 1)):
+        metrics = Result(observations, affinity, found(0, 1, 0, 1), alone, fusion).metrics()
+        assert metrics["all"]["rank1"] == rank1
+        assert [metrics["alone"][name]["rank1"] for name in "AB"] == [1, 0]
+    assert metrics["all"] | {"f1": 1, "bcubed_f1": 1, "map": 1, "queries": 4} == metrics["all"]
+    text = result_table(Result(observations, affinity, found(0, 1, 0, 1), alone, fusion))
+    assert text.split()[:7] == ["precision", "recall", "F1", "bcubed", "f1", "rank1", "map"]
 
 
 def test_links_without_labels_are_written_as_links(tmp_path):

@@ -179,7 +179,7 @@ def _solve(
     alone = {}
     for name in affinity.modalities if ablate else ():
         alone[name] = solve_affinity(affinity.select(name), solver, _only(fusion, name))
-    return Result(observations, affinity, association, alone)
+    return Result(observations, affinity, association, alone, fusion)
 
 
 def _only(fusion: Fusion, modality: str) -> Fusion:

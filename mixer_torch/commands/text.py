@@ -44,7 +44,8 @@ def result_table(result: Result) -> str:
     """How good, or how many clusters, in each modality alone and in all together."""
     metrics = result.metrics()
     if metrics is not None:
-        return metrics_table(metrics, ("precision", "recall", "f1"))
+        gallery = ("bcubed_f1", "rank1", "map") if "map" in metrics["all"] else ()
+        return metrics_table(metrics, ("precision", "recall", "f1", *gallery))
     rows = [*result.alone.items(), ("all", result.association)]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {clusters(association)}" for name, association in rows)
