@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import configparser
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -15,12 +14,16 @@ from scipy.optimize import linear_sum_assignment
 
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.calibration import find_calibration, read_calibration
-from mixer_torch.datasets.text import read_numbers, refuse
-from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
-
-MIN_COLUMNS = 7
-CLASS_COLUMNS = 9
-VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
+from mixer_torch.datasets.motchallenge_files import (
+    SequenceInfo,
+    as_confidence,
+    read_repaired,
+    read_seqinfo,
+    read_table,
+    read_truth,
+)
+from mixer_torch.datasets.motchallenge_frames import NumberedFrames, find_frames
+from mixer_torch.observations import Images, Observations
 
 
 class MOTChallenge(Dataset):
@@ -29,13 +32,15 @@ class MOTChallenge(Dataset):
     Lines of ``det.txt`` are frame, id, left, top, width, height, confidence, ...; of
     ``gt/gt.txt`` the same with a flag in the seventh place, 0 for regions to ignore, which are
     dropped. Truth of nine columns is that of MOT16 and later, with a class in the eighth. Each
-    frame is one view, numbered as in the table.
+    frame is one view, numbered as in the table. Lines may be in any order.
 
     Features: ``frame``; ``time``, (frame - 1) / frameRate; ``camera``, 0; ``box``;
-    ``confidence``; ``identity`` where there is truth: that of the true box which the detection
-    is assigned to, -1 for clutter; ``position`` where there is a calibration: the ground point
-    under the middle of the box's lower edge, z = 0, in the frame of the calibration. Boxes are
-    as in the table, which counts pixels from 1.
+    ``confidence``, the score as a value in [0, 1]
+    (:func:`~mixer_torch.datasets.motchallenge_files.as_confidence`; it is one already for most
+    detectors, and not for DPM and ACF); ``identity`` where there is truth: that of the true box
+    which the detection is assigned to, -1 for clutter; ``position`` where there is a calibration:
+    the ground point under the middle of the box's lower edge, z = 0, in the frame of the
+    calibration. Boxes are as in the table, which counts pixels from 1.
 
     Frames are read from ``img1/000001.jpg``, ... (folder and ending as in ``seqinfo.ini``), or
     from the one file in ``video/``, whose k-th frame, from 1, is frame k. A calibration is a Tsai
@@ -47,11 +52,17 @@ class MOTChallenge(Dataset):
         stop: Last frame, included; to the end if None.
         step: From one frame to the next.
         source: Observe the detections, or the true boxes.
-        min_confidence: Leave out detections under this.
+        min_confidence: Leave out detections whose score, as it is in the file, is under this.
         min_overlap: Intersection over union from which a detection is a true box's.
         classes: Classes to keep of truth that has a class column; 1 is pedestrians.
         pixels: Whether to attach images; if None, where every frame with observations has one.
         calibration: Calibration file; if None, the one in the folder, if there is one.
+        frame_rate: Frames per second where there is no ``seqinfo.ini`` to say it.
+        truth: Whether to read ``gt/gt.txt`` for identities, where it is there.
+        repair: Take what can be used of a detection file that is not quite right (see
+            :func:`~mixer_torch.datasets.motchallenge_files.read_repaired`), with a warning for
+            each kind of line that is left out; if False, such a line is an error. Frames after
+            the ``seqLength`` of ``seqinfo.ini`` are left out, unless ``stop`` says otherwise.
     """
 
     def __init__(
@@ -66,6 +77,9 @@ class MOTChallenge(Dataset):
         classes: Sequence[int] = (1,),
         pixels: bool | None = None,
         calibration: str | Path | None = None,
+        frame_rate: float | None = None,
+        truth: bool = True,
+        repair: bool = False,
     ) -> None:
         if step < 1:
             raise ValueError(f"step: expected 1 or more, got {step}")
@@ -73,6 +87,8 @@ class MOTChallenge(Dataset):
             raise ValueError(f"source: expected 'det' or 'gt', got {source!r}")
         if not 0 < min_overlap <= 1:
             raise ValueError(f"min_overlap: expected a value in (0, 1], got {min_overlap}")
+        if frame_rate is not None and not (frame_rate > 0 and np.isfinite(frame_rate)):
+            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
         self.path = Path(path)
         self.start, self.stop, self.step = start, stop, step
         self.source = source
@@ -81,11 +97,13 @@ class MOTChallenge(Dataset):
         self.classes = tuple(classes)
         self.pixels = pixels
         self.calibration = calibration
+        self.frame_rate = frame_rate
+        self.truth = truth
+        self.repair = repair
 
     def load(self) -> Observations:
-        folder = find(self.path)
-        info = read_seqinfo(folder / "seqinfo.ini")
-        rows, identity = self._rows(folder)
+        folder, info = self.folder, self.info()
+        rows, identity = self._rows(folder, info)
         frame, box = rows[:, 0].astype(np.int64), corners(rows)
         features = {
             "frame": frame,
@@ -104,18 +122,35 @@ class MOTChallenge(Dataset):
             self._images(folder, info, frame, box),
         )
 
-    def _rows(self, folder: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    @property
+    def folder(self) -> Path:
+        """Where the sequence is.
+
+        Raises:
+            FileNotFoundError: It is nowhere.
+        """
+        return find(self.path)
+
+    def info(self) -> SequenceInfo:
+        """What ``seqinfo.ini`` says."""
+        return read_seqinfo(self.folder / "seqinfo.ini", self.frame_rate)
+
+    def frames(self) -> NumberedFrames | None:
+        """All chosen frames that have pixels, with observations or not; None without any."""
+        info = self.info()
+        sources = find_frames(self.folder, info.image_folder, info.image_suffix, self._chosen)
+        return max(sources, key=len, default=None)
+
+    def _rows(self, folder: Path, info: SequenceInfo) -> tuple[np.ndarray, np.ndarray | None]:
         """The lines to observe, in order of frames, and the identity of each."""
         file = folder / "gt" / "gt.txt"
         truth = None
-        if self.source == "gt" or file.is_file():
+        if self.source == "gt" or (self.truth and file.is_file()):
             truth = self._choose(read_truth(file, self.classes))
         if self.source == "gt" and truth is not None:
             truth[:, 6] = 1
             return truth, truth[:, 1].astype(np.int64)
-        rows = self._choose(read_table(folder / "det" / "det.txt")[0])
-        if self.min_confidence is not None:
-            rows = rows[rows[:, 6] >= self.min_confidence]
+        rows = self._choose(self._detections(folder / "det" / "det.txt", info))
         if truth is None:
             return rows, None
         identity = np.full(len(rows), -1, dtype=np.int64)
@@ -125,15 +160,28 @@ class MOTChallenge(Dataset):
         identity[mine] = truth[theirs, 1]
         return rows, identity
 
+    def _detections(self, file: Path, info: SequenceInfo) -> np.ndarray:
+        """The lines of ``det.txt`` with their confidence in the place of the score."""
+        if self.repair:
+            rows, notes = read_repaired(file, info, info.length if self.stop is None else None)
+            for note in notes:
+                warnings.warn(note, stacklevel=4)
+        else:
+            rows = read_table(file)[0]
+        score = rows[:, 6].copy()
+        rows[:, 6] = as_confidence(score)
+        return rows if self.min_confidence is None else rows[score >= self.min_confidence]
+
     def _choose(self, rows: np.ndarray) -> np.ndarray:
         """The lines of the chosen frames, in order of frames."""
-        frame = rows[:, 0]
+        rows = rows[self._chosen(rows[:, 0])]
+        return rows[np.argsort(rows[:, 0], kind="stable")]
+
+    def _chosen(self, frame: np.ndarray) -> np.ndarray:
+        """Which of these frames to take."""
         start = 1 if self.start is None else self.start
         keep = (frame >= start) & ((frame - start) % self.step == 0)
-        if self.stop is not None:
-            keep &= frame <= self.stop
-        rows = rows[keep]
-        return rows[np.argsort(rows[:, 0], kind="stable")]
+        return keep if self.stop is None else keep & (frame <= self.stop)
 
     def _position(self, folder: Path, box: np.ndarray) -> np.ndarray | None:
         ground = (
@@ -153,98 +201,19 @@ class MOTChallenge(Dataset):
         """Pixels from the folder of frames, else from the video, as ``pixels`` wants them."""
         if self.pixels is False:
             return None
-        chosen, index = np.unique(frame, return_inverse=True)
-        paths = [folder / info.image_folder / f"{k:06d}{info.image_suffix}" for k in chosen]
-        missing = next((path for path in paths if not path.is_file()), None)
-        if missing is None and (paths or (folder / info.image_folder).is_dir()):
-            return Images(FolderFrames(paths), index, box)
-        if (video := find_video(folder)) is not None:
-            frames = VideoFrames(video)
-            if not len(frame) or frame.max() <= len(frames):
-                return Images(frames, frame - 1, box)
-            missing = missing or video
+        missing = None
+        for source in find_frames(folder, info.image_folder, info.image_suffix, self._chosen):
+            if (place := source.places(frame)) is not None:
+                return Images(source.frames, place, box)
+            missing = frame[~np.isin(frame, source.number)] if missing is None else missing
         if self.pixels:
+            first = (frame if missing is None else missing)[:1]
+            image = "".join(f"{number:06d}{info.image_suffix}" for number in first)
             raise FileNotFoundError(
-                f"frame {missing or folder / info.image_folder} does not exist; "
+                f"frame {folder / info.image_folder / image} does not exist; "
                 "choose frames that have an image, or set pixels to null or false"
             )
         return None
-
-
-@dataclass(frozen=True)
-class SequenceInfo:
-    """What ``seqinfo.ini`` says: frames per second, and where and how frames are stored."""
-
-    frame_rate: float
-    image_folder: str = "img1"
-    image_suffix: str = ".jpg"
-
-
-def read_seqinfo(path: Path) -> SequenceInfo:
-    """Read ``seqinfo.ini``.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is not an ini file with a section ``Sequence`` and a positive frameRate.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; a MOTChallenge sequence has one")
-    parser = configparser.ConfigParser(interpolation=None)
-    try:
-        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
-        section = parser["Sequence"]
-        rate = float(section["frameRate"])
-    except configparser.Error as error:
-        raise ValueError(f"{path} is not readable as an ini file: {error}") from error
-    except KeyError as error:
-        raise ValueError(f"{path}: {error} is missing; expected frameRate in [Sequence]") from None
-    except ValueError:
-        raise ValueError(
-            f"{path}: frameRate: expected a number, got {section['frameRate']!r}"
-        ) from None
-    if not (rate > 0 and np.isfinite(rate)):
-        raise ValueError(f"{path}: frameRate: expected a positive number, got {rate}")
-    return SequenceInfo(rate, section.get("imDir", "img1"), section.get("imExt", ".jpg"))
-
-
-def read_table(path: Path) -> tuple[Float64[np.ndarray, "n columns"], Int64[np.ndarray, " n"]]:
-    """Read comma-separated lines of frame, id, left, top, width, height, confidence, ...
-
-    Returns:
-        The numbers, and the line of the file that each row stands on, from 1. An empty file has
-        no rows.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: A line is malformed; the message names the file and the line.
-    """
-    rows, number = read_numbers(path, MIN_COLUMNS, delimiter=",")
-    refuse(path, number, ~np.isfinite(rows[:, :MIN_COLUMNS]).all(1), "a number is not finite")
-    frame = rows[:, 0]
-    refuse(path, number, (frame < 1) | (frame % 1 != 0), "expected a frame of 1 or more")
-    refuse(path, number, (rows[:, 4:6] <= 0).any(1), "expected a positive width and height")
-    return rows, number
-
-
-def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray, "n columns"]:
-    """Read the lines of ``gt.txt`` that count: not to be ignored, and of a class to keep.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: A line is malformed, or an identity appears twice in a frame.
-    """
-    rows, number = read_table(path)
-    keep = rows[:, 6] != 0
-    if rows.shape[1] == CLASS_COLUMNS:
-        keep &= np.isin(rows[:, 7], classes)
-    rows, number = rows[keep], number[keep]
-    identity = rows[:, 1]
-    refuse(path, number, (identity < 0) | (identity % 1 != 0), "expected an identity of 0 or more")
-    first = np.unique(rows[:, :2], axis=0, return_index=True)[1]
-    repeated = np.ones(len(rows), dtype=bool)
-    repeated[first] = False
-    refuse(path, number, repeated, "this identity is in this frame already")
-    return rows
 
 
 def match_boxes(
@@ -294,17 +263,3 @@ def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"
 def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
     """Where each box meets the ground: the middle of its lower edge."""
     return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])
-
-
-def find_video(folder: Path) -> Path | None:
-    """The file in ``video/``, None without one.
-
-    Raises:
-        ValueError: There is more than one.
-    """
-    files = sorted(
-        file for file in (folder / "video").glob("*") if file.suffix.lower() in VIDEO_SUFFIXES
-    )
-    if len(files) > 1:
-        raise ValueError(f"{folder}: expected one video, got {[file.name for file in files]}")
-    return files[0] if files else None
