@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from mixer_torch.datasets.balance import BalancedFrames
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.observations import FolderFrames, Images, Observations
 
@@ -28,6 +30,13 @@ class Persons(Dataset):
         cameras: Cameras to read; all if None.
         orientations: Orientations to read; all if None.
         limit: How many persons to read, the first in order; all if None.
+        skip: How many persons to pass over before that, the first in order.
+        balance: Whether to take off the colour cast of the cameras, by mapping the brightness of
+            each channel to common ground (:mod:`mixer_torch.datasets.balance`): for cameras that
+            saw the same persons on the whole. Only what is read counts.
+
+    Raises:
+        ValueError: limit or skip is negative.
     """
 
     def __init__(
@@ -36,13 +45,17 @@ class Persons(Dataset):
         cameras: Sequence[int] | None = None,
         orientations: Sequence[int] | None = None,
         limit: int | None = None,
+        skip: int = 0,
+        balance: bool = False,
     ) -> None:
-        if limit is not None and limit < 0:
-            raise ValueError(f"limit: expected 0 or more, got {limit}")
+        if (limit is not None and limit < 0) or skip < 0:
+            raise ValueError(f"limit, skip: expected 0 or more, got {limit} and {skip}")
         self.path = Path(path)
         self.cameras = cameras
         self.orientations = orientations
         self.limit = limit
+        self.skip = skip
+        self.balance = balance
 
     def load(self) -> Observations:
         folder = find(self.path)
@@ -53,7 +66,7 @@ class Persons(Dataset):
         )
         if not found:
             raise FileNotFoundError(f"{folder}: no image is in <person>/<camera>_<orientation>.png")
-        persons = sorted({person for person, *_ in found})[: self.limit]
+        persons = sorted({person for person, *_ in found})[self.skip :][: self.limit]
         chosen = [
             row
             for row in found
@@ -61,11 +74,13 @@ class Persons(Dataset):
             and (self.cameras is None or row[1] in self.cameras)
             and (self.orientations is None or row[2] in self.orientations)
         ]
-        frames = FolderFrames([file for *_, file in chosen])
+        numbers = np.array([row[:3] for row in chosen], dtype=np.int64).reshape(-1, 3)
+        frames: Sequence[Any] = FolderFrames([file for *_, file in chosen])
         sizes = [frame.shape[1::-1] for frame in frames]
+        if self.balance:
+            frames = BalancedFrames(frames, numbers[:, 1])
         box = np.zeros((len(chosen), 4), dtype=np.float32)
         box[:, 2:] = np.array(sizes).reshape(-1, 2)
-        numbers = np.array([row[:3] for row in chosen], dtype=np.int64).reshape(-1, 3)
         names = ("identity", "camera", "orientation")
         features = {name: torch.from_numpy(numbers[:, k].copy()) for k, name in enumerate(names)}
         features["box"] = torch.from_numpy(box)

@@ -41,9 +41,26 @@ def test_choice(folder):
     seen = Persons(folder, cameras=[2], orientations=[1, 10], limit=2).load()
     assert seen["identity"].tolist() == [1, 1, 9, 9]
     assert seen["camera"].unique().tolist() == [2]
-    seen = Persons(folder, limit=0).load()
+    seen = Persons(folder, skip=1, limit=1).load()
+    assert seen["identity"].unique().tolist() == [9]
+    assert len(Persons(folder, skip=3).load()) == 0
+    seen = Persons(folder, limit=0, balance=True).load()
     assert len(seen) == len(seen.images) == 0
     assert seen["box"].shape == (0, 4)
+
+
+def test_balanced_cameras_look_alike(tmp_path):
+    generator = np.random.default_rng(0)
+    for person in range(30):
+        (tmp_path / f"{person}").mkdir()
+        image = generator.integers(0, 120, (16, 8, 3))
+        for camera in (1, 2):
+            cv2.imwrite(str(tmp_path / f"{person}" / f"{camera}_1.png"), camera * image)
+    for balance, alike in ((False, 110), (True, 4)):
+        seen = Persons(tmp_path, balance=balance).load()
+        crops = np.stack([seen.images.crop(i).astype(int) for i in range(60)])
+        worst = np.abs(crops[::2] - crops[1::2]).max()
+        assert (worst <= alike) == balance
 
 
 def test_errors(folder):
@@ -59,6 +76,8 @@ def test_errors(folder):
         Persons(folder / "nowhere").load()
     with pytest.raises(ValueError, match="limit"):
         Persons(folder, limit=-1)
+    with pytest.raises(ValueError, match="skip"):
+        Persons(folder, skip=-1)
 
 
 @pytest.mark.real_data
