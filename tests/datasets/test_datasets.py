@@ -18,6 +18,7 @@ def test_exported_classes_are_datasets(name):
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
+        ("Crowd", {"num_people": 10, "source": "gt"}),
         ("Landmarks", {"path": "hotel", "step": 5, "box_size": 32}),
         (
             "MOTChallenge",
