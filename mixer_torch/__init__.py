@@ -13,7 +13,7 @@ from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
 from mixer_torch.fusion import Fusion, LinearFusion, LogOddsFusion
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
-from mixer_torch.pairs import Every, Nearest, PairSelector, Within
+from mixer_torch.pairs import Every, Nearest, PairSelector, Reachable, Within
 from mixer_torch.pipeline import associate
 from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer, score
 from mixer_torch.solvers.base import Solver, solve
@@ -53,6 +53,7 @@ __all__ = [
     "Observations",
     "PairSelector",
     "QuickMatch",
+    "Reachable",
     "Scorer",
     "Solver",
     "Spectral",

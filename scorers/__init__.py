@@ -2,7 +2,8 @@
 
 from scorers.color import Color
 from scorers.iou import IoU
+from scorers.motion import Motion
 from scorers.proximity import Proximity
 from scorers.sift import SIFT
 
-__all__ = ["SIFT", "Color", "IoU", "Proximity"]
+__all__ = ["SIFT", "Color", "IoU", "Motion", "Proximity"]

@@ -1,5 +1,6 @@
 """Tracking as association: the same three nouns, applied to frames and then to tracklets."""
 
+from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracking.tracks import Tracks
 
-__all__ = ["Tracks"]
+__all__ = ["Tracker", "Tracks"]

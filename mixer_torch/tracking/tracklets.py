@@ -1,0 +1,145 @@
+"""Tracklets: clusters of observations that are observations again."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from mixer_torch.observations import Observations
+from mixer_torch.tracking.motion import MotionModel, box_position, filtered
+
+PATH_FEATURES = ("span", "entry", "exit")
+"""Features that tell how something came and went: ``span`` (m, 2), the times of its first and last
+sight, and the packed states ``entry``, judged by what followed the first, and ``exit``, by what
+preceded the last (see :class:`mixer_torch.tracking.motion.State`)."""
+
+
+def with_paths(
+    observations: Observations,
+    labels: Int64[Tensor, " m"],
+    model: MotionModel,
+    memory: int = 12,
+) -> Observations:
+    """The observations with :data:`PATH_FEATURES`, fitted on those of the same label.
+
+    The exit of an observation is judged by those before it in its cluster and by itself, its
+    entry by itself and those after it: each as if the cluster were cut there, so that comparing
+    the exit of one with the entry of the next asks whether it should be.
+
+    Args:
+        observations: With ``box`` and ``time``.
+        labels: Clusters of links that are confident.
+        model: How things move.
+        memory: How many observations before and after are looked at.
+    """
+    position, height = box_position(observations["box"])
+    time = observations["time"].double()
+    states = [
+        filtered(position, height, time, labels, model, memory, backwards).packed
+        for backwards in (True, False)
+    ]
+    span = torch.stack([time, time], 1)
+    return observations.with_features(span=span, entry=states[0], exit=states[1])
+
+
+def summarised(observations: Observations, labels: Int64[Tensor, " m"]) -> Observations:
+    """One observation for each cluster, whose features tell its two ends and what it is made of.
+
+    Args:
+        observations: With :data:`PATH_FEATURES`, as from :func:`with_paths` with these labels.
+        labels: Clusters 0.., each used.
+
+    Returns:
+        As many observations as there are clusters, of no view (what may not be joined overlaps in
+        time, see :func:`overlapping`), with features ``span``, ``entry``, ``exit``; ``time`` and
+        ``box`` of the first sight; ``camera``; ``boxes``, how many there are; ``first`` and
+        ``last``, the observations at its ends; and the mean of ``confidence`` and ``embedding``
+        where there are any.
+    """
+    count = int(labels.max()) + 1 if len(labels) else 0
+    order = torch.argsort(observations["time"], stable=True)
+    order = order[torch.argsort(labels[order], stable=True)]
+    size = torch.bincount(labels, minlength=count)
+    end = torch.cumsum(size, 0)
+    first, last = order[end - size], order[end - 1]
+    span = observations["span"]
+    features = {
+        "span": torch.stack([span[first, 0], span[last, 1]], 1),
+        "entry": observations["entry"][first],
+        "exit": observations["exit"][last],
+        "time": observations["time"][first],
+        "box": observations["box"][first],
+        "boxes": size,
+        "first": first,
+        "last": last,
+    }
+    if "camera" in observations.features:
+        features["camera"] = observations["camera"][first]
+    for name in ("confidence", "embedding"):
+        if name in observations.features:
+            features[name] = pooled(observations[name], labels, count)
+    return Observations(torch.full((count,), -1, device=labels.device), features)
+
+
+def pooled(value: Tensor, labels: Int64[Tensor, " m"], count: int) -> Tensor:
+    """The mean of a feature in each cluster, over the rows without NaN; NaN where there is none."""
+    rows = value.double().flatten(1) if value.ndim > 1 else value.double()[:, None]
+    good = rows.isfinite().all(1)
+    total = rows.new_zeros(count, rows.shape[1]).index_add(0, labels[good], rows[good])
+    number = torch.bincount(labels[good], minlength=count)[:, None]
+    return (total / number).reshape(count, *value.shape[1:]).to(value.dtype)
+
+
+def overlapping(span: Tensor, camera: Int64[Tensor, " n"] | None = None) -> Int64[Tensor, "2 K"]:
+    """Pairs of tracklets of one camera that overlap in time and so are not one object.
+
+    Args:
+        span: (n, 2) times of first and last sight.
+        camera: (n,) one camera if None.
+    """
+    camera = (
+        torch.zeros(len(span), dtype=torch.int64, device=span.device) if camera is None else camera
+    )
+    order = torch.argsort(span[:, 0], stable=True)
+    start = span[order, 0].contiguous()
+    place = torch.arange(len(span), device=span.device)
+    after = torch.searchsorted(start, span[order, 1].contiguous(), right=True)
+    count = (after - place - 1).clamp(min=0)
+    first = torch.repeat_interleave(place, count)
+    rank = torch.arange(len(first), device=span.device)
+    second = first + 1 + rank - torch.repeat_interleave(torch.cumsum(count, 0) - count, count)
+    pairs = order[torch.stack([first, second])]
+    pairs = pairs[:, camera[pairs[0]] == camera[pairs[1]]]
+    return torch.stack([pairs.min(0).values, pairs.max(0).values])
+
+
+def successive(
+    tracklets: Observations, gap: float, reach: float, speed: float, growth: float
+) -> Int64[Tensor, "2 P"]:
+    """Pairs of tracklets of which one may go on where the other ended.
+
+    The later one starts at most ``gap`` seconds after the end of the earlier one, at most
+    (reach + speed * seconds) heights from where that one ended or would by then be, and is not
+    larger or smaller by more than ``growth`` nats.
+    """
+    span, entry, leaving = (tracklets[key] for key in PATH_FEATURES)
+    camera = tracklets.features.get("camera", torch.zeros_like(tracklets.view))
+    order = torch.argsort(span[:, 0], stable=True)
+    start = span[order, 0].contiguous()
+    low = torch.searchsorted(start, span[:, 1].contiguous(), right=True)
+    high = torch.searchsorted(start, span[:, 1].contiguous() + gap, right=True)
+    count = (high - low).clamp(min=0)
+    place = torch.arange(len(span), device=span.device)
+    a = torch.repeat_interleave(place, count)
+    rank = torch.arange(len(a), device=span.device)
+    b = order[low[a] + rank - (torch.cumsum(count, 0) - count)[a]]
+    seconds = span[b, 0] - span[a, 1]
+    from_, to = leaving[a][..., 0], entry[b][..., 0]
+    height = ((from_[:, 2] + to[:, 2]) / 2).exp()
+    distance = torch.linalg.vector_norm(to[:, :2] - from_[:, :2], dim=1)
+    near = distance <= (reach + speed * seconds) * height
+    near &= (camera[a] == camera[b]) & ((to[:, 2] - from_[:, 2]).abs() <= growth)
+    pairs = torch.stack([a, b])[:, near]
+    pairs = torch.stack([pairs.min(0).values, pairs.max(0).values])
+    return pairs[:, torch.argsort(pairs[0] * len(span) + pairs[1])]
