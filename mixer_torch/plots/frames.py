@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from mixer_torch.datasets.motchallenge_frames import NumberedFrames
 from mixer_torch.observations import Images, Observations
 from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, wrong_by_truth
+from mixer_torch.plots.video import Drawing, write_drawn
 from mixer_torch.scoring import Progress
 
 if TYPE_CHECKING:
@@ -132,7 +134,10 @@ def write_video(
     labels: Tensor,
     progress: Progress | None = None,
 ) -> None:
-    """Write an mp4 of all frames in which something was seen, with boxes as in the picture.
+    """Write an mp4 of the frames, with boxes as in the picture and trails of the last second.
+
+    Frames in which nothing was seen, between others, are in the video, too. Boxes are drawn as by
+    :func:`~mixer_torch.plots.video.write_track_video`.
 
     Args:
         path: File to write.
@@ -144,68 +149,50 @@ def write_video(
         OSError: The video cannot be written.
         ValueError: There are no observations, no images or no boxes.
     """
-    import cv2
-
     images = _images(observations)
     if not len(labels):
         raise ValueError("observations: expected at least one for a video, got none")
-    numbers = labels.cpu().numpy()
-    single = np.bincount(numbers)[numbers] == 1
+    box: Any = images.box
+    shown = _shown(images)
+    camera = observations.features.get("camera", torch.zeros(len(labels), dtype=torch.int64))
+    rows = np.flatnonzero(np.isfinite(box).all(1))
+    rows = rows[np.argsort(images.frame_index[rows], kind="stable")]
+    drawing = Drawing(
+        images.frame_index[rows],
+        camera.cpu().numpy()[rows],
+        labels.cpu().numpy()[rows],
+        box[rows],
+        np.zeros(len(rows), dtype=bool),
+    )
+    frames = NumberedFrames(shown, shown, images.frames)
+    captions = _captions(observations, images, shown)
+    write_drawn(path, drawing, frames, captions, _frame_rate(observations, images), progress)
+
+
+def _shown(images: Images) -> np.ndarray:
+    """From the first frame with an observation to the last, in the steps that they are apart.
+
+    So every 20th frame, where every 20th was observed, but also those in which nothing was seen.
+    """
     seen = np.unique(images.frame_index)
-    height, width = images.frame(int(np.argmin(images.frame_index))).shape[:2]
-    rate = _frames_per_second(observations, images)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
-    if not writer.isOpened():
-        raise OSError(f"{path}: OpenCV cannot write this video here")
-    try:
-        for done, index in enumerate(seen):
-            group = np.flatnonzero(images.frame_index == index)
-            frame = cv2.cvtColor(images.frame(int(group[0])), cv2.COLOR_RGB2BGR)
-            frame = (
-                frame if frame.shape[:2] == (height, width) else cv2.resize(frame, (width, height))
-            )
-            for i in group:
-                _draw_box(frame, images.box[i], int(numbers[i]), bool(single[i]))  # type: ignore[index]
-            writer.write(frame)
-            if progress is not None:
-                progress("video: frames", done + 1, len(seen))
-    finally:
-        writer.release()
+    return np.arange(seen[0], seen[-1] + 1, max(int(np.gcd.reduce(np.diff(seen))), 1))
 
 
-def _draw_box(frame: np.ndarray, box: np.ndarray, number: int, single: bool) -> None:
-    import cv2
-
-    color = np.asarray(FADED) if single else colors(np.array([number]))[0]
-    bgr = [round(float(value) * 255) for value in color[::-1]]
-    x1, y1, x2, y2 = (round(float(value)) for value in np.nan_to_num(box))
-    cv2.rectangle(frame, (x1, y1), (x2, y2), bgr, 1 if single else 2, cv2.LINE_AA)
-    if not single:
-        font, text = cv2.FONT_HERSHEY_SIMPLEX, str(number)
-        (width, height), base = cv2.getTextSize(text, font, 0.45, 1)
-        left, bottom = max(x1, 0), max(y1, height + base)
-        corner = (left + width + 4, bottom - height - base)
-        cv2.rectangle(frame, (left, bottom), corner, bgr, cv2.FILLED)
-        cv2.putText(
-            frame,
-            text,
-            (left + 2, bottom - base // 2 - 1),
-            font,
-            0.45,
-            (255, 255, 255),
-            1,
-            cv2.LINE_AA,
-        )
+def _captions(observations: Observations, images: Images, shown: np.ndarray) -> list[str]:
+    """The names of the frames shown; those in which nothing was seen have none to go by."""
+    seen, first = np.unique(images.frame_index, return_index=True)
+    names = {k: _name(observations, int(i)) for k, i in zip(seen, first, strict=True)}
+    return [names.get(k, "") for k in shown]
 
 
-def _frames_per_second(observations: Observations, images: Images) -> float:
-    """From the median time between frames, within what people can follow."""
+def _frame_rate(observations: Observations, images: Images) -> float:
+    """By how much the index of a frame grows in a second; 10 where there is no time."""
     if "time" not in observations.features:
         return 10.0
-    first = np.unique(images.frame_index, return_index=True)[1]
-    step = torch.diff(observations["time"].cpu()[torch.from_numpy(first)])
-    step = step[step > 0]
-    return float(np.clip(1 / float(step.median()), 2, 30)) if len(step) else 10.0
+    index, first = np.unique(images.frame_index, return_index=True)
+    seconds = np.diff(observations["time"].cpu().numpy()[first])
+    passes = seconds > 0
+    return float(np.median(np.diff(index)[passes] / seconds[passes])) if passes.any() else 10.0
 
 
 def _images(observations: Observations) -> Images:
