@@ -20,6 +20,8 @@ BOX_COLUMNS = 6
 CLASS_COLUMNS = 9
 UNKNOWN_SCORE = -1.0
 """What the format writes where there is no value."""
+LOGIT_LOW, LOGIT_MIDDLE = 1.386, 3.892
+"""Log odds of 0.8 and of 0.98."""
 
 
 @dataclass(frozen=True)
@@ -166,18 +168,21 @@ def read_repaired(
 def as_confidence(score: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Scores of one detector as values in [0, 1], in the order of the scores.
 
-    Scores that all are in [0, 1] stay as they are. Those of DPM (the margin of a support vector
-    machine) and of ACF (the sum of a boosted classifier) are not: they may be negative, or tens,
-    and 0 is undecided. They become 1 / (1 + exp(-score / u)) with u the median of their absolute
-    values, 1 at least, so that 0 is 0.5 and the upper half is not all 1. A file of nothing but -1,
-    which in this format is "no value", has confidence 1.
+    Scores that all are in [0, 1] stay as they are. Others have a scale of their own: those of DPM
+    (the margin of a support vector machine) may be negative, those of ACF (the sum of a boosted
+    classifier) or per cent are tens. They become 1 / (1 + exp(-(a + b score))) with a and b such
+    that a tenth of them is below 0.8 and half of them below 0.98. So they are spread as those of
+    Faster R-CNN are on MOT15, and a threshold means the same. Scores that all are one number say
+    nothing (-1 is "no value" in this format): confidence 1.
     """
-    if not len(score) or (score == UNKNOWN_SCORE).all():
-        return np.ones_like(score)
-    if score.min() >= 0 and score.max() <= 1:
+    if not len(score) or (score.min() >= 0 and score.max() <= 1):
         return score.copy()
-    unit = max(1.0, float(np.median(np.abs(score))))
-    return 0.5 + 0.5 * np.tanh(score / (2 * unit))
+    low, middle = np.quantile(score, [0.1, 0.5])
+    unit = (middle - low) or (score.max() - score.min())
+    if unit == 0:
+        return np.ones_like(score)
+    logit = LOGIT_LOW + (LOGIT_MIDDLE - LOGIT_LOW) * (score - low) / unit
+    return 0.5 + 0.5 * np.tanh(logit / 2)
 
 
 def _flaws(info: SequenceInfo, last: int | None) -> list[tuple[str, Any]]:

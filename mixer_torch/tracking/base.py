@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Self
+
+import torch
+from torch import nn
 
 from mixer_torch.association import Association
 from mixer_torch.observations import Observations
@@ -38,3 +42,11 @@ class BaseTracker(ABC):
     def track(self, observations: Observations, progress: Progress | None = None) -> Tracks:
         """From observations to tracks."""
         return self.finish(observations, self.associate(observations, progress))
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same tracker with all modules among its settings moved to a device, in place."""
+        for value in vars(self).values():
+            for item in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(item, nn.Module):
+                    item.to(device)
+        return self

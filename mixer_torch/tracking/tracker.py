@@ -11,13 +11,14 @@ from mixer_torch.pairs import PairSelector, Reachable
 from mixer_torch.scoring import Progress, Scorer, score
 from mixer_torch.solvers.base import Solver, solve
 from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.ending import interpolated, smoothed, strong
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import overlapping, successive, summarised, with_paths
 from mixer_torch.tracking.tracks import Tracks
 
 
-class Tracker:
+class Tracker(BaseTracker):
     """Who is who in a sequence, at full length: boxes are associated, then the tracklets they make.
 
     Level one scores pairs of boxes that one object could have made, and solves. Velocities are
@@ -107,10 +108,10 @@ class Tracker:
             labels = by_first_appearance(joined.labels[labels])
         return Association(labels, answer.objective, answer.status, None, dict(answer.stats))
 
-    def track(self, observations: Observations, progress: Progress | None = None) -> Tracks:
+    def finish(self, observations: Observations, association: Association) -> Tracks:
         """The tracks of objects: weak ones dropped, short gaps filled, boxes smoothed."""
-        labels = self.associate(observations, progress).labels
-        return self.end(Tracks.from_labels(observations, labels), seconds_per_frame(observations))
+        tracks = Tracks.from_labels(observations, association.labels)
+        return self.end(tracks, seconds_per_frame(observations))
 
     def end(self, tracks: Tracks, seconds: float) -> Tracks:
         """Drop the weak, fill gaps and smooth, with so many seconds from frame to frame."""
