@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import resources
+from pathlib import Path
 
 from jsonargparse import ArgumentParser
 
@@ -15,6 +16,7 @@ from mixer_torch.commands.associate import associate, score, solve
 from mixer_torch.commands.bench import bench
 from mixer_torch.commands.evaluate import evaluate
 from mixer_torch.commands.members import list_members
+from mixer_torch.commands.track import track
 from mixer_torch.progress import Bars
 
 COMMANDS: dict[str, Callable[..., str]] = {
@@ -22,6 +24,7 @@ COMMANDS: dict[str, Callable[..., str]] = {
     "associate": associate,
     "score": score,
     "solve": solve,
+    "track": track,
     "evaluate": evaluate,
     "bench": bench,
     "list": list_members,
@@ -29,10 +32,14 @@ COMMANDS: dict[str, Callable[..., str]] = {
 SUMMARIES = {"demo": "Run `associate` on the parking lot that comes with the project."}
 GIVEN = ("config", "progress")
 """Parameters of commands that are not arguments: :func:`main` fills them in."""
+DEFAULTS = {"demo": "parking_lot.yaml", "track": "mot.yaml"}
+"""What a command takes from where the arguments do not say otherwise, in the folder `configs`."""
 SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
 POSITIONAL = ("solve", "bench")
 """Commands whose required arguments go without a name."""
-SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device"}
+REPEATED = {"track": "sequences"}
+"""The parameter of a command that takes all arguments without a name."""
+SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device", "tracker"}
 """Options that one file may hold for all commands; one that has no use for them lets them by."""
 
 
@@ -64,6 +71,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"mixer {name}: error: {_message(error)}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt as stop:
+        print(f"mixer {name}: interrupted{': ' * bool(stop.args)}{stop}", file=sys.stderr)
+        return 130
     print(text)
     return 0
 
@@ -81,13 +91,16 @@ def build_parsers() -> tuple[ArgumentParser, dict[str, ArgumentParser]]:
 
 
 def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
-    scene = resources.files("mixer_torch.configs") / "parking_lot.yaml"
-    parser = ArgumentParser(default_config_files=[str(scene)] if name == "demo" else [])
+    default = resources.files("mixer_torch.configs") / DEFAULTS.get(name, "")
+    parser = ArgumentParser(default_config_files=[str(default)] if name in DEFAULTS else [])
     if name == "list":
         return parser
     parser.add_argument("--config", action="config", help="File with any of the options below.")
     parameters = set(inspect.signature(command).parameters)
     given: set[str | int] = {key for key in GIVEN if key in parameters}
+    if name in REPEATED:
+        parser.add_argument(REPEATED[name], nargs="+", type=Path, metavar="FOLDER")
+        given.add(REPEATED[name])
     parser.add_function_arguments(command, as_positional=name in POSITIONAL, skip=given)
     if name == "demo":
         parser.set_defaults({"out": "out/demo"})

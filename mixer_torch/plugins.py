@@ -16,6 +16,7 @@ from mixer_torch.fusion import Fusion
 from mixer_torch.pairs import PairSelector
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.solvers.base import Solver
+from mixer_torch.tracking.base import BaseTracker
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ KINDS = (
     Kind("calibrators", Calibrator, ("mixer_torch.scoring", "scorers")),
     Kind("fusions", Fusion, ("mixer_torch.fusion",)),
     Kind("pairs", PairSelector, ("mixer_torch.pairs",)),
+    Kind("trackers", BaseTracker, ("mixer_torch.tracking",)),
 )
 
 

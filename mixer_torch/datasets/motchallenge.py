@@ -102,8 +102,15 @@ class MOTChallenge(Dataset):
         self.repair = repair
 
     def load(self) -> Observations:
+        observations, notes = self.read()
+        for note in notes:
+            warnings.warn(note, stacklevel=2)
+        return observations
+
+    def read(self) -> tuple[Observations, list[str]]:
+        """The observations, and what ``repair`` has left out, instead of warnings."""
         folder, info = self.folder, self.info()
-        rows, identity = self._rows(folder, info)
+        rows, identity, notes = self._rows(folder, info)
         frame, box = rows[:, 0].astype(np.int64), corners(rows)
         features = {
             "frame": frame,
@@ -116,11 +123,12 @@ class MOTChallenge(Dataset):
             features["identity"] = identity
         if (position := self._position(folder, box)) is not None:
             features["position"] = position
-        return Observations(
+        observations = Observations(
             torch.from_numpy(frame),
             {name: torch.from_numpy(value) for name, value in features.items()},
             self._images(folder, info, frame, box),
         )
+        return observations, notes
 
     @property
     def folder(self) -> Path:
@@ -138,47 +146,50 @@ class MOTChallenge(Dataset):
     def frames(self) -> NumberedFrames | None:
         """All chosen frames that have pixels, with observations or not; None without any."""
         info = self.info()
-        sources = find_frames(self.folder, info.image_folder, info.image_suffix, self._chosen)
+        sources = find_frames(self.folder, info.image_folder, info.image_suffix, self.chosen)
         return max(sources, key=len, default=None)
 
-    def _rows(self, folder: Path, info: SequenceInfo) -> tuple[np.ndarray, np.ndarray | None]:
-        """The lines to observe, in order of frames, and the identity of each."""
+    def _rows(
+        self, folder: Path, info: SequenceInfo
+    ) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+        """The lines to observe, in order of frames, the identity of each, and notes."""
         file = folder / "gt" / "gt.txt"
         truth = None
         if self.source == "gt" or (self.truth and file.is_file()):
             truth = self._choose(read_truth(file, self.classes))
         if self.source == "gt" and truth is not None:
             truth[:, 6] = 1
-            return truth, truth[:, 1].astype(np.int64)
-        rows = self._choose(self._detections(folder / "det" / "det.txt", info))
+            return truth, truth[:, 1].astype(np.int64), []
+        rows, notes = self._detections(folder / "det" / "det.txt", info)
+        rows = self._choose(rows)
         if truth is None:
-            return rows, None
+            return rows, None, notes
         identity = np.full(len(rows), -1, dtype=np.int64)
         mine, theirs = match_boxes(
             rows[:, 0], corners(rows), truth[:, 0], corners(truth), self.min_overlap
         )
         identity[mine] = truth[theirs, 1]
-        return rows, identity
+        return rows, identity, notes
 
-    def _detections(self, file: Path, info: SequenceInfo) -> np.ndarray:
-        """The lines of ``det.txt`` with their confidence in the place of the score."""
+    def _detections(self, file: Path, info: SequenceInfo) -> tuple[np.ndarray, list[str]]:
+        """The lines of ``det.txt``, with their confidence in the place of the score, and notes."""
         if self.repair:
             rows, notes = read_repaired(file, info, info.length if self.stop is None else None)
-            for note in notes:
-                warnings.warn(note, stacklevel=4)
         else:
-            rows = read_table(file)[0]
+            rows, notes = read_table(file)[0], []
         score = rows[:, 6].copy()
         rows[:, 6] = as_confidence(score)
-        return rows if self.min_confidence is None else rows[score >= self.min_confidence]
+        if self.min_confidence is not None:
+            rows = rows[score >= self.min_confidence]
+        return rows, notes
 
     def _choose(self, rows: np.ndarray) -> np.ndarray:
         """The lines of the chosen frames, in order of frames."""
-        rows = rows[self._chosen(rows[:, 0])]
+        rows = rows[self.chosen(rows[:, 0])]
         return rows[np.argsort(rows[:, 0], kind="stable")]
 
-    def _chosen(self, frame: np.ndarray) -> np.ndarray:
-        """Which of these frames to take."""
+    def chosen(self, frame: np.ndarray) -> np.ndarray:
+        """Which of these frames are to be read, by ``start``, ``stop`` and ``step``."""
         start = 1 if self.start is None else self.start
         keep = (frame >= start) & ((frame - start) % self.step == 0)
         return keep if self.stop is None else keep & (frame <= self.stop)
@@ -202,7 +213,7 @@ class MOTChallenge(Dataset):
         if self.pixels is False:
             return None
         missing = None
-        for source in find_frames(folder, info.image_folder, info.image_suffix, self._chosen):
+        for source in find_frames(folder, info.image_folder, info.image_suffix, self.chosen):
             if (place := source.places(frame)) is not None:
                 return Images(source.frames, place, box)
             missing = frame[~np.isin(frame, source.number)] if missing is None else missing

@@ -129,7 +129,7 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
 def read_repaired(
     path: Path, info: SequenceInfo, last: int | None = None
 ) -> tuple[Float64[np.ndarray, "n columns"], list[str]]:
-    """Read detections as detectors and people write them, and say what was not taken over.
+    """Read detections as detectors and people write them, and say what was not taken.
 
     Numbers are separated by commas or by white space. Six columns, without a score, will do. Left
     out are boxes with a number that is not finite, with no positive width and height, and wholly

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Self
 
 import torch
 from torch import nn
@@ -43,7 +42,7 @@ class BaseTracker(ABC):
         """From observations to tracks."""
         return self.finish(observations, self.associate(observations, progress))
 
-    def to(self, device: torch.device | str) -> Self:
+    def to(self, device: torch.device | str) -> BaseTracker:
         """The same tracker with all modules among its settings moved to a device, in place."""
         for value in vars(self).values():
             for item in value if isinstance(value, list | tuple) else (value,):

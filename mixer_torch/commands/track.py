@@ -1,0 +1,288 @@
+"""Track whole sequences: detections in, who was where out."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from mixer_torch.association import Association
+from mixer_torch.commands.associate import device_named
+from mixer_torch.commands.text import listing
+from mixer_torch.datasets.base import find
+from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.observations import Observations
+from mixer_torch.outputs import check_folder
+from mixer_torch.scoring import Progress
+from mixer_torch.tracking.base import BaseTracker
+from mixer_torch.tracking.formats import MotTruth, read_mot_truth, write_tracks
+from mixer_torch.tracking.tracking_metrics import evaluate_sequences
+from mixer_torch.tracking.tracks import Tracks
+
+FRAME_RATE = 30.0
+"""Frames per second where nobody says."""
+SUFFIX = {"mot": ".txt", "coco": ".json", "csv": ".csv", "parquet": ".parquet"}
+METRICS = {"HOTA": "HOTA", "AssA": "AssA", "IDF1": "IDF1", "IDSW": "switches"}
+"""What is shown of the metrics, and under which title."""
+
+
+def track(
+    sequences: list[Path],
+    tracker: BaseTracker | None = None,
+    out: Path = Path("out", "tracks"),
+    start: int | None = None,
+    stop: int | None = None,
+    step: int = 1,
+    min_confidence: float | None = None,
+    classes: list[int] = [1],  # noqa: B006
+    pixels: bool | None = None,
+    frame_rate: float | None = None,
+    repair: bool = True,
+    format: Literal["mot", "coco", "csv", "parquet"] = "mot",  # noqa: A002
+    video: bool = False,
+    device: str = "cpu",
+    *,
+    config: str,
+    progress: Progress,
+) -> str:
+    """Follow objects through whole sequences, and say how well where the truth is there.
+
+    A sequence is a folder in the layout of MOTChallenge, of which nothing but det/det.txt has to be
+    there. The tracker sees the detections, and the pixels where there are any; gt/gt.txt is read
+    for the metrics alone.
+
+    All sequences are read and checked before the first is tracked. Each result is written whole, as
+    soon as it is there, so that a run that is interrupted leaves those that it has finished.
+
+    Args:
+        sequences: Folders, as they are or inside $MIXER_DATA.
+        tracker: How to track; what is not said is as in configs/mot.yaml.
+        out: Folder to write to: SEQUENCE.txt for each, named after its folder, and config.yaml.
+        start: First frame; from the beginning if null.
+        stop: Last frame, included; to the end if null.
+        step: From one frame to the next.
+        min_confidence: Leave out detections whose score is under this.
+        classes: What to find, for the metrics, where the truth has classes; 1 is pedestrians.
+        pixels: Whether the tracker sees images; if null, where every frame with detections has one.
+        frame_rate: Frames per second where there is no seqinfo.ini to say it; 30 if null.
+        repair: Leave out lines of det.txt that are of no use, and say so; if false, they are
+            errors.
+        format: Of the results: mot (txt, as MOTChallenge has it), coco (json), csv or parquet.
+        video: Write SEQUENCE.mp4, too, where there are frames.
+        device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
+        config: The resolved configuration, to be written beside the results.
+        progress: Told what is done while it goes on.
+    """
+    if tracker is None:
+        raise ValueError("tracker: expected one, got none; say --config configs/mot.yaml")
+    place = device_named(device)
+    folders = _by_name(sequences)
+    check_folder(out)
+    options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
+    options |= {"pixels": pixels, "repair": repair}
+    jobs = [_read(name, folder, frame_rate, options) for name, folder in folders.items()]
+    truths, notes = _truths(jobs, classes)
+    notes = [note for job in jobs for note in job.notes] + notes
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "config.yaml").write_text(config, encoding="utf-8")
+    outcomes: dict[str, Outcome] = {}
+    written = ["config.yaml"]
+    try:
+        for job in jobs:
+            outcome = _track(job, tracker.to(place), place, progress)
+            write_tracks(out / f"{job.name}{SUFFIX[format]}", outcome.tracks)
+            written.append(f"{job.name}{SUFFIX[format]}")
+            if video and _write_video(out, job, outcome.tracks, progress):
+                written.append(f"{job.name}.mp4")
+            elif video:
+                notes.append(f"{job.name}: no video, as there are no frames")
+            outcomes[job.name] = outcome
+    except KeyboardInterrupt:
+        finished = ", ".join(outcomes) or "none"
+        raise KeyboardInterrupt(f"finished, and in {out}: {finished}") from None
+    metrics, missing = _measure(outcomes, truths)
+    table = _table(jobs, outcomes, metrics)
+    notes = [f"note: {note}" for note in notes + missing]
+    return "\n".join([table, "", *notes, *listing(out, written)])
+
+
+@dataclass(frozen=True)
+class Job:
+    """One sequence to track.
+
+    Args:
+        name: Its folder's.
+        dataset: Where it comes from.
+        observations: What was detected, without the truth.
+        notes: What is to be said of how it was read.
+    """
+
+    name: str
+    dataset: MOTChallenge
+    observations: Observations
+    notes: list[str]
+
+    @property
+    def frames(self) -> int:
+        """How many frames were looked at, with detections or without."""
+        last = int(self.observations["frame"].max()) if len(self.observations) else 0
+        if self.dataset.stop is None:
+            last = self.dataset.info().length or last
+        return int(self.dataset.chosen(np.arange(1, last + 1)).sum())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What tracking gave.
+
+    Args:
+        tracks: Who was where.
+        association: What they were made from.
+        seconds: How long it took, with scoring and without reading.
+    """
+
+    tracks: Tracks
+    association: Association
+    seconds: float
+
+
+def _by_name(sequences: Sequence[Path]) -> dict[str, Path]:
+    """The folders by their names, which are those of the results."""
+    folders: dict[str, Path] = {}
+    for sequence in sequences:
+        folder = find(sequence)
+        if not folder.is_dir():
+            raise NotADirectoryError(f"sequences: expected folders, got the file {folder}")
+        name = Path(os.path.abspath(folder)).name
+        if name in folders:
+            raise ValueError(
+                f"sequences: {folders[name]} and {folder} are both called {name}, which is the "
+                "name of the result; track them one by one, with an --out for each"
+            )
+        folders[name] = folder
+    return folders
+
+
+def _read(name: str, folder: Path, frame_rate: float | None, options: Mapping[str, Any]) -> Job:
+    notes = []
+    if frame_rate is None and not (folder / "seqinfo.ini").is_file():
+        frame_rate = FRAME_RATE
+        notes = [
+            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; or say --frame_rate"
+        ]
+    dataset = MOTChallenge(folder, frame_rate=frame_rate, truth=False, **options)
+    observations, repaired = dataset.read()
+    return Job(name, dataset, observations, notes + repaired)
+
+
+def _truths(
+    jobs: Sequence[Job], classes: Sequence[int]
+) -> tuple[dict[str, tuple[MotTruth, Tracks]], list[str]]:
+    """The truth of each sequence that has it, and what of it is in the frames chosen."""
+    truths, notes = {}, []
+    for job in jobs:
+        file = job.dataset.folder / "gt" / "gt.txt"
+        if not file.is_file():
+            continue
+        try:
+            truth = read_mot_truth(file, classes)
+        except ValueError as error:
+            notes.append(f"{job.name}: no metrics, as the truth is not readable: {error}")
+            continue
+        chosen = truth.tracks.select(job.dataset.chosen(truth.tracks.frame))
+        truths[job.name] = truth, chosen
+    return truths, notes
+
+
+def _track(job: Job, tracker: BaseTracker, place: torch.device, progress: Progress) -> Outcome:
+    begin = time.perf_counter()
+    observations = job.observations.to(place)
+
+    def told(what: str, done: int, of: int) -> None:
+        progress(f"{job.name}: {what}", done, of)
+
+    with torch.no_grad():
+        association = tracker.associate(observations, told)
+        tracks = tracker.finish(observations, association)
+    return Outcome(tracks, association, time.perf_counter() - begin)
+
+
+def _write_video(out: Path, job: Job, tracks: Tracks, progress: Progress) -> bool:
+    """Whether there are frames to write a video of; it is written whole or not at all."""
+    from mixer_torch.plots import write_track_video
+
+    frames = job.dataset.frames()
+    if frames is None or not len(frames):
+        return False
+    partial = out / f".{job.name}.partial.mp4"
+    try:
+        write_track_video(partial, tracks, frames, job.dataset.info().frame_rate, progress)
+        partial.replace(out / f"{job.name}.mp4")
+    finally:
+        partial.unlink(missing_ok=True)
+    return True
+
+
+def _measure(
+    outcomes: Mapping[str, Outcome], truths: Mapping[str, tuple[MotTruth, Tracks]]
+) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
+    """The metrics of each sequence that has truth and, as "", of these together; notes."""
+    if not truths:
+        return {}, []
+    results = {
+        name: truth.without_distractors(outcomes[name].tracks)
+        for name, (truth, _) in truths.items()
+    }
+    try:
+        found = evaluate_sequences(results, {name: chosen for name, (_, chosen) in truths.items()})
+    except ImportError as error:
+        return {}, [f"no metrics: {error}"]
+    return {**found["sequences"], "": found["combined"]}, []
+
+
+def _table(
+    jobs: Sequence[Job], outcomes: Mapping[str, Outcome], metrics: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """One line a sequence, and one for all where there are several."""
+    titles = ["sequence", "frames", "detections", "tracks", "seconds", "frames/s"]
+    titles += [*(METRICS.values() if metrics else ()), "status"]
+    rows, sums = [], np.zeros(4)
+    for job in jobs:
+        outcome = outcomes[job.name]
+        found = len(np.unique(outcome.tracks.identity))
+        counts = np.array([job.frames, len(job.observations), found, outcome.seconds])
+        sums += counts
+        cells = [*_cells(counts), *_measured(metrics, job.name)]
+        rows.append([job.name, *cells, outcome.association.status.value])
+    if len(jobs) > 1:
+        rows.append(["all", *_cells(sums), *_measured(metrics, ""), ""])
+    widths = [max(len(row[k]) for row in [titles, *rows]) for k in range(len(titles))]
+    lines = []
+    for row in [titles, *rows]:
+        middle = (f"{c:>{w}}" for c, w in zip(row[1:-1], widths[1:-1], strict=True))
+        lines.append("  ".join([f"{row[0]:<{widths[0]}}", *middle, row[-1]]).rstrip())
+    return "\n".join(lines)
+
+
+def _cells(counts: np.ndarray) -> list[str]:
+    """Frames, detections, tracks, seconds; and frames per second."""
+    *numbers, seconds = counts
+    rate = counts[0] / max(seconds, 1e-9)
+    return [*(f"{number:,.0f}" for number in numbers), f"{seconds:.1f}", f"{rate:,.1f}"]
+
+
+def _measured(metrics: Mapping[str, Mapping[str, Any]], name: str) -> list[str]:
+    """What is shown of the metrics of one sequence, dashes where it has no truth."""
+    if not metrics:
+        return []
+    values = [metrics.get(name, {}).get(key) for key in METRICS]
+    return [
+        "-" if value is None else f"{value:,d}" if isinstance(value, int) else f"{value:.1f}"
+        for value in values
+    ]
