@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +11,33 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 
+def read_text(path: Path) -> str:
+    """The text of a file, unpacked where its name ends in ``.gz``.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It does not unpack, or is not text.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist")
+    opener: Any = gzip.open if path.suffix == ".gz" else open
+    try:
+        with opener(path, "rt", encoding="utf-8-sig") as file:
+            return file.read()
+    except (UnicodeDecodeError, gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path} is not readable as text: {error}") from error
+
+
 def read_numbers(
-    path: Path, columns: int, delimiter: str | None = None
+    path: Path, columns: int, delimiter: str | None = None, label: str | None = None
 ) -> tuple[Float64[np.ndarray, "n columns"], Int64[np.ndarray, " n"]]:
     """Read a table of numbers; blank lines do not count.
 
     Args:
-        path: Text file.
+        path: Text file, packed if its name ends in ``.gz``.
         columns: How many columns there have to be at least.
         delimiter: What stands between numbers; white space if None.
+        label: What opens text at the end of a line, which is left out; None if there is no text.
 
     Returns:
         The numbers, and the line of the file that each row stands on, from 1. An empty file has
@@ -27,9 +47,9 @@ def read_numbers(
         FileNotFoundError: There is no such file.
         ValueError: A line is malformed; the message names the file and the line.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
-    lines = path.read_text(encoding="utf-8-sig").split("\n")
+    lines = read_text(path).split("\n")
+    if label is not None:
+        lines = [line.partition(label)[0] for line in lines]
     number = np.array([i for i, line in enumerate(lines, 1) if line.strip()], dtype=np.int64)
     if not len(number):
         return np.empty((0, columns)), number
