@@ -128,7 +128,7 @@ def _read_json(path: Path, text: str) -> Boxes:
     return Boxes(frame.astype(np.int64), box * scale, table[:, 5], unknown)
 
 
-def _refuse(path: Path, frame: Float64[np.ndarray, " n"], wrong: np.ndarray, message: str) -> None:
+def _refuse(path: Path, frame: Float64[np.ndarray, " n"], wrong: Any, message: str) -> None:
     """ValueError that names the file and the first frame that is wrong, if any is."""
-    if wrong.any():
-        raise ValueError(f"{path}: frame_number {frame[wrong.argmax()]:g}: {message}")
+    if np.any(wrong):
+        raise ValueError(f"{path}: frame_number {frame[np.argmax(wrong)]:g}: {message}")

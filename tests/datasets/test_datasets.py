@@ -24,6 +24,10 @@ def test_exported_classes_are_datasets(name):
             "MOTChallenge",
             {"path": "pets", "start": 160, "stop": 780, "step": 20, "classes": [1, 7]},
         ),
+        (
+            "MultiCamera",
+            {"cameras": [{"boxes": "a.txt"}, {"boxes": "b.json.gz", "delay": 3}], "frame_rate": 25},
+        ),
         ("ParkingLot", {"seed": 3}),
         ("Persons", {"path": "persons", "cameras": [1], "limit": 10}),
         ("Table", {"path": "table.csv", "frame_rate": 10, "images": "{frame:06d}.jpg"}),

@@ -32,6 +32,7 @@ CLASSES = sorted(set(scorer_classes()), key=lambda cls: cls.__name__)
 SUBJECTS = {cls.__name__: cls for cls in CLASSES} | {
     "IoU in seconds": lambda: IoU(0.5, feature="time"),
     "Proximity of what moves": lambda: Proximity(scale=0.5, memory=5.0, speed=1.5),
+    "Proximity of what keeps its velocity": lambda: Proximity(0.5, 5.0, 0.1, swerve=0.3),
     "Color histogram": lambda: Color("histogram"),
     "SIFT at points": lambda: SIFT(at="point"),
     "FunctionScorer": lambda: FunctionScorer(cosine, "embedding", Logistic(4.0, 0.2)),
@@ -76,6 +77,7 @@ def observations(m=9, seed=0):
         "embedding": torch.randn(m, 8, generator=generator),
         "identity": torch.arange(m) % 3,
         "point": corner + size / 2,
+        "velocity": torch.randn(m, 3, generator=generator),
     }
     images = Images(pictures(max(int(view.max()) + 1 if m else 1, 1)), view.numpy(), box.numpy())
     return Observations(view, features, images)
