@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mixer_torch.observations import Observations
 from mixer_torch.scoring import Calibrator, Scorer
 
 
@@ -42,6 +43,7 @@ class Proximity(Scorer):
 
     Raises:
         ValueError: scale or memory is not positive, or speed or swerve is negative.
+        KeyError: With swerve, when it scores: the observations have no velocity.
     """
 
     def __init__(
@@ -64,7 +66,12 @@ class Proximity(Scorer):
         self.memory = memory
         self.speed = speed
         self.swerve = swerve
-        self.needs = (feature, "time") if swerve is None else (feature, "time", "velocity")
+        self.needs = (feature, "time")
+
+    def describe(self, observations: Observations) -> tuple[Tensor, ...]:
+        """Positions, times, and velocities with swerve: those may be missing, so are not needs."""
+        described = tuple(observations[key] for key in self.needs)
+        return described if self.swerve is None else (*described, observations["velocity"])
 
     def compare(self, description: tuple[Tensor, ...], pairs: Tensor) -> Tensor:
         position, time, *velocity = description
