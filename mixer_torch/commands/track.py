@@ -174,7 +174,7 @@ def _read(name: str, folder: Path, frame_rate: float | None, options: Mapping[st
     if frame_rate is None and not (folder / "seqinfo.ini").is_file():
         frame_rate = FRAME_RATE
         notes = [
-            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; or say --frame_rate"
+            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"
         ]
     dataset = MOTChallenge(folder, frame_rate=frame_rate, truth=False, **options)
     observations, repaired = dataset.read()
