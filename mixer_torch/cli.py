@@ -35,7 +35,7 @@ GIVEN = ("config", "progress")
 DEFAULTS = {"demo": "parking_lot.yaml", "track": "mot.yaml"}
 """What a command takes from where the arguments do not say otherwise, in the folder `configs`."""
 SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
-POSITIONAL = ("solve", "bench")
+POSITIONAL = ("solve", "evaluate", "bench")
 """Commands whose required arguments go without a name."""
 REPEATED = {"track": "sequences"}
 """The parameter of a command that takes all arguments without a name."""
@@ -112,10 +112,15 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
 
 
 def _spelled_out(argv: Sequence[str]) -> list[str]:
-    """The arguments with `--ablate`, alone, as `--ablate true`, and the like for every switch."""
+    """The arguments with `--ablate`, alone, as `--ablate true`, and the like for every switch.
+
+    The result to evaluate goes without a name, and may have its name, `--result`, all the same.
+    """
     words = []
     for word, following in zip(argv, [*argv[1:], "--"], strict=True):
-        words.append(word)
+        if word == "--result":
+            continue
+        words.append(word.removeprefix("--result="))
         if word in SWITCHES and following.startswith("-"):
             words.append("true")
     return words

@@ -2,30 +2,80 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from mixer_torch.association import Association, Status
+from mixer_torch.commands.sequences import measure_tracks, tracks_table
 from mixer_torch.commands.text import check_suffix, metrics_table
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.metrics import evaluate as measure
 from mixer_torch.outputs import known_identity, read_labels, write_json
 
+SHOWN = ("precision", "recall", "f1", "bcubed_f1", "adjusted_rand")
 
-def evaluate(result: Path, dataset: Dataset | None = None, out: Path | None = None) -> str:
-    """Measure an association against the truth.
+
+def evaluate(
+    result: Path,
+    truth: Path | None = None,
+    dataset: Dataset | None = None,
+    classes: list[int] = [1],  # noqa: B006
+    min_overlap: float = 0.5,
+    out: Path | None = None,
+) -> str:
+    """Measure tracks, or an association, against the truth.
+
+    Tracks are measured as MOTChallenge measures them (HOTA, IDF1, MOTA, ...), in percent, and by
+    pairs and B-cubed over the boxes that are matched to the truth.
 
     Args:
-        result: associations.csv as `mixer associate` writes it, any CSV with a column `label` (and
-            `observation`, the number of the row of the dataset), or an association in npz.
-        dataset: Where the truth comes from. Where there is none, it is in the CSV's columns
-            `identity` and `view`.
+        result: Tracks: a file of MOTChallenge (txt), in the style of COCO (json), or with columns
+            frame, identity, x1, y1, x2, y2 (csv or parquet); or a folder with one such file for
+            each sequence, called after it; or a folder that `mixer associate` wrote. Or an
+            association: associations.csv as `mixer associate` writes it, any CSV with a column
+            `label` (and `observation`, the number of the row of the dataset), or npz.
+        truth: Of tracks: the folder of a sequence of MOTChallenge, with gt/gt.txt; a folder of
+            such folders; or a file like those of results. What is of classes that are not to be
+            found is left out as on MOTChallenge.
+        dataset: Where the truth comes from if there is no --truth. For an association without
+            either it is in the CSV's columns `identity` and `view`.
+        classes: What is to be found, in truth of MOT16 and later, which has classes.
+        min_overlap: Of tracks: intersection over union from which a box is a true one.
         out: File to write the metrics to (json); only printed if there is none.
     """
     if out is not None:
         check_suffix("out", out, ".json")
+    if not result.exists():
+        raise FileNotFoundError(f"result: {result} does not exist")
+    if truth is None and _is_association(result):
+        metrics = {"all": _measure_association(result, dataset)}
+        lines = [metrics_table(metrics, SHOWN)]
+    else:
+        metrics = measure_tracks(result, truth, dataset, classes, min_overlap)
+        lines = [tracks_table(metrics)]
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_json(out, metrics)
+        lines.append(f"written: {out}")
+    return "\n".join(lines)
+
+
+def _is_association(result: Path) -> bool:
+    """Whether a file has labels, or nothing to make tracks of."""
+    if result.suffix == ".npz":
+        return True
+    if result.suffix != ".csv":
+        return False
+    with result.open(newline="", encoding="utf-8-sig") as file:
+        header = {name.strip() for name in next(csv.reader(file), [])}
+    return "label" in header or not {"frame", "identity", "x1"} <= header
+
+
+def _measure_association(result: Path, dataset: Dataset | None) -> dict[str, Any]:
     table = {} if result.suffix == ".npz" else read_labels(result)
     if dataset is not None:
         observations = dataset.load()
@@ -40,13 +90,7 @@ def evaluate(result: Path, dataset: Dataset | None = None, out: Path | None = No
             "truth from"
         )
     association = _labelled(table, len(view)) if table else Association.load(result)
-    metrics = {"all": measure(association, identity, view)}
-    lines = [metrics_table(metrics, ("precision", "recall", "f1", "bcubed_f1", "adjusted_rand"))]
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_json(out, metrics)
-        lines.append(f"written: {out}")
-    return "\n".join(lines)
+    return measure(association, identity, view)
 
 
 def _labelled(table: Mapping[str, torch.Tensor], m: int) -> Association:
