@@ -151,13 +151,7 @@ def test_each_sequence_has_a_result_and_a_line(mixer):
     counts = ["frames", "detections", "tracks", "seconds", "frames/s"]
     assert table[0] == ["sequence", *counts, *metrics, "status"]
     assert table[1][:4] == ["first", "5", "10", "2"]
-    assert table[1][6:] == [
-        "100.0",
-        "100.0",
-        "100.0",
-        "0",
-        *"converged to a feasible answer".split(),
-    ]
+    assert table[1][6:] == ["100.0", "100.0", "100.0", "0", *Status.CONVERGED.value.split()]
     assert table[2][:4] == ["second", "8", "9", "3"]
     assert table[2][6:10] == ["-"] * 4
     assert table[3][:4] == ["all", "13", "19", "5"]

@@ -218,7 +218,7 @@ def _draw_box(frame: np.ndarray, drawing: Drawing, row: int, pen: Pen) -> None:
     if drawing.dashed[row]:
         around = [(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)]
         for paint, width in ((shade, pen.line + 2), (color, pen.line)):
-            for start, end in _dashes(around, 3 * pen.gap):
+            for start, end in _dashes(around, 4 * pen.gap):
                 cv2.line(frame, start, end, paint, width, cv2.LINE_AA)
     elif not drawing.numbered[row]:
         cv2.rectangle(frame, (x1, y1), (x2, y2), color, pen.stroke, cv2.LINE_AA)
