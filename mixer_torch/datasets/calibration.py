@@ -175,6 +175,8 @@ class Pinhole:
             raise ValueError(
                 f"distortion: expected {LENSES} finite numbers, got {list(self.distortion)}"
             )
+        if self.distortion and matrix[0, 1]:
+            raise ValueError(f"K: expected no skew beside distortion, got {matrix.tolist()}")
 
     @classmethod
     def from_json(cls, path: str | Path) -> Pinhole:
@@ -267,6 +269,8 @@ def _array(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
         raise ValueError(f"{name}: expected numbers, got {value!r}") from None
     if array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
     return array
 
 
