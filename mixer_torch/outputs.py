@@ -22,12 +22,15 @@ from mixer_torch.fusion import Fusion
 from mixer_torch.metrics import evaluate
 from mixer_torch.observations import Observations
 from mixer_torch.retrieval_metrics import retrieval_of_affinity
+from mixer_torch.tracking.formats.mot import write_mot
+from mixer_torch.tracking.tracks import Tracks
 
 COLUMNS = ("observation", "view", "frame", "x1", "y1", "x2", "y2", "label")
 FILES = (
     "associations.csv",
     "links.csv",
     "tracks.txt",
+    "tracks_camera*.txt",
     "affinity.npz",
     "metrics.json",
     "config.yaml",
@@ -36,7 +39,8 @@ FILES = (
     "frames.png",
     "tracks.mp4",
 )
-"""All that a result may consist of; what an earlier result left of them is replaced or removed."""
+"""All that a result may consist of, as patterns of names; what an earlier result left of them is
+replaced or removed."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +101,9 @@ def known_identity(observations: Observations) -> Tensor | None:
 def write_tables(folder: Path, result: Result) -> None:
     """Write the files that are no pictures.
 
-    They are associations.csv, tracks.txt (where there are boxes, frames and labels), links.csv
-    (where there are no labels), affinity.npz and metrics.json (where identities are known).
+    They are associations.csv, tracks.txt (where there are boxes, frames and labels; one for each
+    camera where there are several), links.csv (where there are no labels), affinity.npz and
+    metrics.json (where identities are known).
     """
     write_associations(folder / "associations.csv", result.observations, result.association.labels)
     if result.association.labels is None:
@@ -127,21 +132,27 @@ def write_associations(path: Path, observations: Observations, labels: Tensor | 
 
 
 def write_tracks(path: Path, observations: Observations, labels: Tensor) -> None:
-    """The MOTChallenge result format: frame, id, left, top, width, height, confidence, -1, -1, -1.
+    """The MOTChallenge result format, one file for each camera where there are several.
 
-    Identifiers count from 1. Observations without a box are left out.
+    Identifiers count from 1. Observations without a box are left out. The format cannot tell
+    cameras apart, so the file name does, as in tracks_camera2.txt. Nothing is written where a
+    label has two boxes in one frame of a camera, which it may have where views are not frames:
+    these are no tracks.
     """
-    box = observations["box"].double().cpu().numpy()
-    frame, label = observations["frame"].cpu().numpy(), labels.cpu().numpy()
-    confidence = observations.features.get("confidence", torch.ones(len(label))).cpu().numpy()
-    with path.open("w", encoding="utf-8") as file:
-        for i in np.lexsort((label, frame)):
-            x1, y1, x2, y2 = box[i]
-            if not np.isfinite(box[i]).all():
-                continue
-            sure = confidence[i] if np.isfinite(confidence[i]) else -1
-            size = f"{x1:.2f},{y1:.2f},{x2 - x1:.2f},{y2 - y1:.2f}"
-            file.write(f"{frame[i]},{label[i] + 1},{size},{sure:.4g},-1,-1,-1\n")
+    frame = observations["frame"]
+    camera = observations.features.get("camera", torch.zeros_like(frame))
+    seen = observations["box"].isfinite().all(1)
+    place = torch.stack([frame, camera, labels.to(frame)], 1)[seen]
+    if len(place.unique(dim=0)) < len(place):
+        return
+    tracks = Tracks.from_labels(observations, labels)
+    cameras = np.unique(tracks.camera)
+    if len(cameras) < 2:
+        write_mot(path, tracks)
+        return
+    for number in cameras:
+        name = f"{path.stem}_camera{number}{path.suffix}"
+        write_mot(path.with_name(name), tracks.select(tracks.camera == number))
 
 
 def write_links(path: Path, links: Tensor) -> None:
@@ -208,9 +219,9 @@ def staged(folder: Path) -> Iterator[Path]:
     try:
         yield stage
         folder.mkdir(exist_ok=True)
-        for name in FILES:
-            if not (stage / name).exists():
-                (folder / name).unlink(missing_ok=True)
+        for old in [path for pattern in FILES for path in folder.glob(pattern)]:
+            if not (stage / old.name).exists():
+                old.unlink()
         for path in sorted(stage.iterdir()):
             path.replace(folder / path.name)
     finally:

@@ -71,6 +71,26 @@ def test_tracks_are_in_the_motchallenge_format_by_frame_then_identifier(tmp_path
     ]
 
 
+def test_each_camera_has_tracks_of_its_own(tmp_path):
+    frame, camera = torch.full((4,), 7), torch.tensor([2, 5, 2, 5])
+    observations = seen(frame=frame, camera=camera)
+    write_tracks(tmp_path / "tracks.txt", observations, torch.tensor([1, 1, 0, 2]))
+    lines = {path.name: path.read_text().split() for path in tmp_path.iterdir()}
+    assert {name: [line[:4] for line in rows] for name, rows in lines.items()} == {
+        "tracks_camera2.txt": ["7,1,", "7,2,"],
+        "tracks_camera5.txt": ["7,2,", "7,3,"],
+    }
+
+
+def test_two_boxes_in_a_frame_are_no_track(tmp_path):
+    observations = seen(frame=torch.full((4,), 7))
+    write_tracks(tmp_path / "tracks.txt", observations, torch.tensor([0, 0, 1, 2]))
+    assert not list(tmp_path.iterdir())
+    observations["box"][1] = torch.inf
+    write_tracks(tmp_path / "tracks.txt", observations, torch.tensor([0, 0, 1, 2]))
+    assert len((tmp_path / "tracks.txt").read_text().split()) == 3
+
+
 @pytest.mark.parametrize(
     ("identity", "known"), [(None, False), ([-1] * 4, False), ([-1, 3, 3, -1], True)]
 )
@@ -142,7 +162,7 @@ def test_a_failure_makes_no_folder(tmp_path):
 
 
 def test_a_new_result_replaces_the_old_one_and_leaves_other_files_alone(tmp_path):
-    for name in ("metrics.json", "tracks.txt", "notes.txt"):
+    for name in ("metrics.json", "tracks.txt", "tracks_camera3.txt", "notes.txt"):
         (tmp_path / name).write_text("old")
     with staged(tmp_path) as folder:
         (folder / "tracks.txt").write_text("new")

@@ -77,7 +77,7 @@ class Tracks:
         """The tracks that an association's labels make of observations: identity = label + 1.
 
         Observations of a negative label are of no track, and those whose box was not measured
-        (NaN) are left out.
+        (not finite) are left out.
 
         Args:
             observations: With ``frame`` and ``box``; ``confidence`` and ``camera`` are kept where
@@ -93,7 +93,7 @@ class Tracks:
         if len(label) != len(observations):
             raise ValueError(f"labels: expected {len(observations)}, got {len(label)}")
         box = observations["box"].detach().double().cpu().numpy()
-        row = np.flatnonzero((label >= 0) & ~np.isnan(box).any(1))
+        row = np.flatnonzero((label >= 0) & np.isfinite(box).all(1))
         kept = {
             name: observations[name].detach().cpu().numpy()[row]
             for name in ("confidence", "camera")
