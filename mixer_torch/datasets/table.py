@@ -84,7 +84,7 @@ class Table(Dataset):
         path = find(self.path)
         columns = Columns(path)
         if not columns.columns:
-            return Observations(torch.empty(0, dtype=torch.int64))
+            raise ValueError(f"{path} is empty: expected a header with 'view' or 'frame'")
         view, keep = _views(columns), self._chosen(columns)
         features = {name: value[keep] for name, value in self._features(columns).items()}
         return Observations(

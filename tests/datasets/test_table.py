@@ -144,8 +144,9 @@ def test_header_only(tmp_path, name):
     assert seen["identity"].dtype == torch.int64
 
 
-def test_empty_file(table):
-    assert len(table("").load()) == 0
+def test_a_file_of_no_bytes_is_said_to_be_empty(table):
+    with pytest.raises(ValueError, match=r"table\.csv is empty: expected a header with 'view' or"):
+        table("").load()
 
 
 @pytest.mark.parametrize(
