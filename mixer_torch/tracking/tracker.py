@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
 
 from mixer_torch.association import Association, by_first_appearance
 from mixer_torch.fusion import Fusion, LogOddsFusion
 from mixer_torch.observations import Observations
-from mixer_torch.pairs import PairSelector, Reachable
+from mixer_torch.pairs import PairSelector, Reachable, within_view
 from mixer_torch.scoring import Progress, Scorer, score
 from mixer_torch.solvers.base import Solver, solve
 from mixer_torch.solvers.mixer import Mixer
@@ -94,19 +98,60 @@ class Tracker(BaseTracker):
         labels = torch.arange(len(observations), device=observations.device)
         pairs = self.pairs(observations)
         for _ in range(self.passes):
-            known = with_paths(observations, labels, self.model, self.memory)
-            affinity = score(known, self.scorers, pairs, progress)
-            answer = solve(affinity, self.solver, self.fusion)
+            answer = self.link(observations, labels, pairs, progress=progress)
             labels = answer.labels
         for gap in self.gaps:
-            known = with_paths(observations, labels, self.model, self.memory)
-            tracklets = summarised(known, labels)
-            pairs = successive(tracklets, gap, self.reach, self.speed, self.growth)
-            affinity = score(tracklets, self.tracklet_scorers, pairs, progress)
-            apart = overlapping(tracklets["span"], tracklets.features.get("camera"))
-            joined = solve(affinity, self.solver, self.fusion, cannot_link=apart)
-            labels = by_first_appearance(joined.labels[labels])
+            labels = self.join(observations, labels, gap, progress=progress)
         return Association(labels, answer.objective, answer.status, None, dict(answer.stats))
+
+    def link(
+        self,
+        observations: Observations,
+        labels: Int64[Tensor, " m"],
+        pairs: Int64[Tensor, "2 P"],
+        must_link: Int64[Tensor, "2 K"] | None = None,
+        progress: Progress | None = None,
+    ) -> Association:
+        """Level one, once: who is who among boxes, with velocities fitted on the labels so far.
+
+        Args:
+            observations: The sequence, or a stretch of it.
+            labels: Clusters of links that are confident.
+            pairs: Which boxes to compare.
+            must_link: Pairs of boxes that are known to be of one object.
+            progress: Told what is done while it goes on.
+        """
+        known = with_paths(observations, labels, self.model, self.memory)
+        affinity = score(known, self.scorers, pairs, progress)
+        return solve(affinity, self.solver, self.fusion, must_link=must_link)
+
+    def join(
+        self,
+        observations: Observations,
+        labels: Int64[Tensor, " m"],
+        gap: float,
+        settled: Bool[Tensor, " k"] | None = None,
+        progress: Progress | None = None,
+    ) -> Int64[Tensor, " m"]:
+        """Level two, once: the labels when tracklets are joined over gaps of so many seconds.
+
+        Args:
+            observations: The sequence, or a stretch of it.
+            labels: The tracklets, 0.., each used.
+            gap: Longest time between two.
+            settled: Which tracklets are known to be of different objects, each of its own.
+            progress: Told what is done while it goes on.
+        """
+        known = with_paths(observations, labels, self.model, self.memory)
+        tracklets = summarised(known, labels)
+        pairs = successive(tracklets, gap, self.reach, self.speed, self.growth)
+        if settled is not None:
+            tracklets = replace(tracklets, view=torch.where(settled, 0, -1))
+            pairs = pairs[:, ~within_view(tracklets.view, pairs)]
+        affinity = score(tracklets, self.tracklet_scorers, pairs, progress)
+        apart = overlapping(tracklets["span"], tracklets.features.get("camera"))
+        joined = solve(affinity, self.solver, self.fusion, cannot_link=apart)
+        return by_first_appearance(joined.labels[labels])
 
     def finish(self, observations: Observations, association: Association) -> Tracks:
         """The tracks of objects: weak ones dropped, short gaps filled, boxes smoothed."""
