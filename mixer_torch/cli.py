@@ -37,8 +37,8 @@ DEFAULTS = {"demo": "parking_lot.yaml", "track": "mot.yaml"}
 SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
 POSITIONAL = ("solve", "evaluate", "bench")
 """Commands whose required arguments go without a name."""
-REPEATED = {"track": "sequences"}
-"""The parameter of a command that takes all arguments without a name."""
+REPEATED = {"track": ("sequences", "Folders, as they are or inside $MIXER_DATA.")}
+"""The parameter of a command that takes all arguments without a name, and what they are."""
 SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device", "tracker"}
 """Options that one file may hold for all commands; one that has no use for them lets them by."""
 
@@ -99,8 +99,9 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
     parameters = set(inspect.signature(command).parameters)
     given: set[str | int] = {key for key in GIVEN if key in parameters}
     if name in REPEATED:
-        parser.add_argument(REPEATED[name], nargs="+", type=Path, metavar="FOLDER")
-        given.add(REPEATED[name])
+        several, meaning = REPEATED[name]
+        parser.add_argument(several, nargs="+", type=Path, help=meaning)
+        given.add(several)
     parser.add_function_arguments(command, as_positional=name in POSITIONAL, skip=given)
     if name == "demo":
         parser.set_defaults({"out": "out/demo"})

@@ -132,8 +132,7 @@ class Job:
     def frames(self) -> int:
         """How many frames were looked at, with detections or without."""
         last = int(self.observations["frame"].max()) if len(self.observations) else 0
-        if self.dataset.stop is None:
-            last = self.dataset.info().length or last
+        last = max(last, self.dataset.info().length or 0)
         return int(self.dataset.chosen(np.arange(1, last + 1)).sum())
 
 
@@ -173,9 +172,7 @@ def _read(name: str, folder: Path, frame_rate: float | None, options: Mapping[st
     notes = []
     if frame_rate is None and not (folder / "seqinfo.ini").is_file():
         frame_rate = FRAME_RATE
-        notes = [
-            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"
-        ]
+        notes = [f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"]
     dataset = MOTChallenge(folder, frame_rate=frame_rate, truth=False, **options)
     observations, repaired = dataset.read()
     return Job(name, dataset, observations, notes + repaired)

@@ -65,7 +65,7 @@ def read_seqinfo(path: Path, frame_rate: float | None = None) -> SequenceInfo:
         return SequenceInfo(frame_rate, image_suffix=usual_suffix(path.parent / "img1"))
     parser = configparser.ConfigParser(interpolation=None)
     try:
-        parser.read_string(path.read_text(encoding="utf-8-sig"), source=str(path))
+        parser.read_string(path.read_text(encoding="utf-8-sig", errors="replace"), source=str(path))
         section = parser["Sequence"]
         if frame_rate is None or "frameRate" in section:
             frame_rate = float(section["frameRate"])
@@ -224,7 +224,7 @@ def _delimiter(path: Path) -> str | None:
     """The comma, or None for white space where the first line that is not blank has none."""
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist")
-    with path.open(encoding="utf-8-sig") as file:
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
         first = next((line for line in file if line.strip()), ",")
     return "," if "," in first else None
 

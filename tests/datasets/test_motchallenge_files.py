@@ -185,6 +185,16 @@ def test_a_long_table_is_repaired(tmp_path):
     assert len(read_repaired(tmp_path / "det.txt", SequenceInfo(10))[0]) == count
 
 
+@pytest.mark.parametrize("repair", [False, True])
+def test_a_file_that_is_no_text_is_named(tmp_path, repair):
+    file = write_detections(tmp_path, "")
+    file.write_bytes(b"1,-1,1,2,3,4,\xff\xfe\n")
+    with pytest.raises(ValueError, match=r"det\.txt is not readable as text"):
+        MOTChallenge(tmp_path, frame_rate=5, repair=repair).load()
+    (tmp_path / "seqinfo.ini").write_bytes(b"[Sequence]\nname=caf\xe9\nframeRate=25\n")
+    assert read_seqinfo(tmp_path / "seqinfo.ini").frame_rate == 25
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"det\.txt does not exist"):
         MOTChallenge(tmp_path, frame_rate=5, repair=True).load()
