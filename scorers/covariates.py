@@ -43,6 +43,13 @@ def _same_camera(features: Features, a: Tensor, b: Tensor) -> Tensor:
     return (features["camera"][a] == features["camera"][b]).double()
 
 
+def _camera_pair(features: Features, a: Tensor, b: Tensor) -> Tensor:
+    camera = features["camera"].long()
+    low, high = torch.minimum(camera[a], camera[b]), torch.maximum(camera[a], camera[b])
+    # Cantor's pairing: another number for each unordered pair, exact in float64.
+    return (((low + high) * (low + high + 1)) // 2 + high).double().where(low >= 0, torch.nan)
+
+
 COVARIATES: Mapping[str, tuple[str, Callable[[Features, Tensor, Tensor], Tensor]]] = {
     "time_gap": ("time", _time_gap),
     "frame_gap": ("frame", _frame_gap),
@@ -50,13 +57,19 @@ COVARIATES: Mapping[str, tuple[str, Callable[[Features, Tensor, Tensor], Tensor]
     "size_ratio": ("box", _size_ratio),
     "confidence": ("confidence", _confidence),
     "same_camera": ("camera", _same_camera),
+    "camera_pair": ("camera", _camera_pair),
 }
 """By name: the feature that is read, and the number that it gives a pair.
 
 ``time_gap`` log(1 + seconds) between the sightings, ``frame_gap`` log(1 + frames); ``box_size`` log
 of the height of the smaller box, pixels; ``size_ratio`` |log| of the ratio of the heights;
-``confidence`` the lower one of the detector; ``same_camera`` 1 within a camera, 0 across."""
+``confidence`` the lower one of the detector; ``same_camera`` 1 within a camera, 0 across;
+``camera_pair`` a number for each unordered pair of cameras, which is a name and no quantity."""
 
+NAMED = ("camera_pair",)
+"""Covariates whose values are names: each value has a column of its own."""
+LEVELS = 16
+"""Values of a named covariate that are told apart: the most frequent in training."""
 
 BENDS = (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
 
@@ -64,8 +77,10 @@ BENDS = (-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5)
 class Covariates(nn.Module):
     """Covariates of pairs by name, standardised on the pairs that training saw.
 
-    Each becomes two columns: its standardised value z, kept within ±3, and max(z, 0), so that a
-    linear function of the columns can bend once. What is not known counts as average.
+    A quantity becomes two columns: its standardised value z, kept within ±3, and max(z, 0), so that
+    a linear function of the columns can bend once. One of :data:`NAMED` becomes a column of 0 and 1
+    for each of the :data:`LEVELS` values that were most frequent in training. What is not known
+    counts as average.
 
     Args:
         names: Keys of :data:`COVARIATES`.
@@ -78,6 +93,7 @@ class Covariates(nn.Module):
     spread: Tensor
     lowest: Tensor
     highest: Tensor
+    levels: Tensor
 
     def __init__(self, names: Sequence[str] = ()) -> None:
         super().__init__()
@@ -93,6 +109,17 @@ class Covariates(nn.Module):
         for buffer, value in (("centre", 0.0), ("spread", 1.0), ("lowest", 0.0), ("highest", 0.0)):
             full = torch.full((len(names),), value, dtype=torch.float64)
             self.register_buffer(buffer, full)
+        self._named = [k for k, name in enumerate(names) if name in NAMED]
+        self._counted = [k for k, name in enumerate(names) if name not in NAMED]
+        if self._named:
+            self.centre[self._named] = torch.nan  # a name has no mean: the average is not known
+            full = torch.full((len(self._named), LEVELS), torch.nan, dtype=torch.float64)
+            self.register_buffer("levels", full)
+
+    @property
+    def width(self) -> int:
+        """Number of :meth:`columns`."""
+        return 2 * len(self._counted) + LEVELS * len(self._named)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -108,18 +135,24 @@ class Covariates(nn.Module):
         return torch.stack(columns, 1) if columns else pairs.new_zeros(len(a), 0).double()
 
     def learn(self, values: Float[Tensor, "P c"]) -> None:
-        """Take mean, spread and range from raw values of training."""
-        for k, column in enumerate(values.T):
-            known = column[column.isfinite()]
+        """Take mean, spread and range, or the frequent names, from raw values of training."""
+        for row, k in enumerate(self._named):
+            known = values[:, k][values[:, k].isfinite()]
+            name, count = torch.unique(known, return_counts=True)
+            frequent = name[torch.argsort(count, descending=True, stable=True)][:LEVELS]
+            self.levels[row] = torch.nan
+            self.levels[row, : len(frequent)] = frequent
+        for k in self._counted:
+            known = values[:, k][values[:, k].isfinite()]
             if len(known):
                 self.centre[k] = known.mean()
                 self.spread[k] = known.std(correction=0).clamp(min=1e-9)
                 self.lowest[k], self.highest[k] = known.min(), known.max()
 
-    def columns(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P c2"]:
-        """Standardised columns (P, 2c) of raw values."""
+    def columns(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P w"]:
+        """Columns (P, :attr:`width`) of raw values."""
         z = self._standardised(values)
-        return torch.cat([z, z.clamp(min=0)], 1)
+        return torch.cat([z, z.clamp(min=0), *self._indicators(values)], 1)
 
     def base_columns(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P k"]:
         """Columns for the base rate, which is to be right throughout: bends at each of ``BENDS``,
@@ -127,14 +160,26 @@ class Covariates(nn.Module):
         """
         z = self._standardised(values)
         bent = [(z - bend).clamp(min=0) for bend in BENDS]
-        return torch.cat([z, *bent, values.new_ones(len(values), 1)], 1)
+        one = values.new_ones(len(values), 1)
+        return torch.cat([z, *bent, *self._indicators(values), one], 1)
 
-    def _standardised(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P c"]:
-        return ((values - self.centre) / self.spread).clamp(-3, 3).nan_to_num(0.0)
+    def _standardised(self, values: Float[Tensor, "P c"]) -> Float[Tensor, "P n"]:
+        k = self._counted
+        z = (values[:, k] - self.centre[k]) / self.spread[k]
+        return z.clamp(-3, 3).nan_to_num(0.0)
+
+    def _indicators(self, values: Float[Tensor, "P c"]) -> list[Tensor]:
+        """(P, LEVELS) of each named covariate: 1 where it has that value."""
+        return [
+            (values[:, k, None] == self.levels[row]).to(values)
+            for row, k in enumerate(self._named)
+        ]
 
     def support(self, values: Float[Tensor, "P c"]) -> Float[Tensor, " P"]:
-        """1 within the range that training saw, falling to 0 outside of it."""
-        within = [support(values[:, k], self.lowest[k], self.highest[k]) for k in range(len(self))]
+        """1 within the range that training saw, falling to 0 outside of it; 0 for other names."""
+        within = [support(values[:, k], self.lowest[k], self.highest[k]) for k in self._counted]
+        for k, found in zip(self._named, self._indicators(values), strict=True):
+            within.append(found.any(1).to(values).where(~values[:, k].isnan(), values.new_ones(())))
         return torch.stack([values.new_ones(len(values)), *within]).amin(0)
 
 

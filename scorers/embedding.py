@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from mixer_torch.observations import Images, Observations
 from mixer_torch.scoring import Calibrator, Scorer
 from scorers.calibration import Logistic
 from scorers.fitted import read_safetensors, write_safetensors
 
-FORMAT = "mixer-torch embedding 1"
+FORMAT = "mixer-torch embedding 2"
 BATCH = 128
 """Crops embedded at a time."""
+FEW = 5
+"""Vectors at 0 that a camera's mean is taken with: of a few that are all alike, much stays."""
+MEAN, SPREAD = 0.45, 0.25
+"""Of the values of common photographs, about."""
 
 
 class EmbeddingNetwork(nn.Module):
     """A compact convolutional network from crops to unit vectors.
 
-    Each image is brought to mean 0 and variance 1 in each channel first, which takes off colour
-    casts of cameras; features are pooled in strips from top to bottom, so that shirt and trousers
-    do not mix.
+    The first block is standardised in each image by itself, which takes off much of its light;
+    features are pooled in strips from top to bottom, so that shirt and trousers do not mix.
 
     Args:
         dimension: Of the vectors.
@@ -35,11 +40,11 @@ class EmbeddingNetwork(nn.Module):
         strips: Strips from top to bottom.
     """
 
-    def __init__(self, dimension: int = 128, width: int = 24, strips: int = 4) -> None:
+    def __init__(self, dimension: int = 128, width: int = 24, strips: int = 8) -> None:
         super().__init__()
         self.settings = {"dimension": dimension, "width": width, "strips": strips}
         channels = [3, width, 2 * width, 4 * width, 6 * width]
-        blocks: list[nn.Module] = [nn.InstanceNorm2d(3)]
+        blocks: list[nn.Module] = []
         for k, (before, after) in enumerate(pairwise(channels)):
             stride = 2 if k < 3 else 1
             blocks += [
@@ -53,8 +58,8 @@ class EmbeddingNetwork(nn.Module):
 
     def forward(self, crops: Float[Tensor, "B 3 height width"]) -> Float[Tensor, "B d"]:
         """Unit vectors of RGB crops with values in [0, 1]."""
-        pooled = self.pool(self.features(crops)).flatten(1)
-        return nn.functional.normalize(self.head(pooled), dim=1)
+        pooled = self.pool(self.features((crops - MEAN) / SPREAD)).flatten(1)
+        return normalize(self.head(pooled), dim=1)
 
 
 class Embedding(Scorer):
@@ -67,6 +72,10 @@ class Embedding(Scorer):
         feature: Vectors that were computed elsewhere.
         height: Pixels that crops are brought to for a network.
         width: Pixels that crops are brought to for a network.
+        mirror: Whether a network sees each crop mirrored, too; the vector is the mean of the two.
+        centre: Whether to subtract from each vector the mean of its camera's, which takes off what
+            all crops of a camera have in common: its light, its background. For cameras that saw
+            several objects each; needs the feature ``camera``.
         slope: Log likelihood ratio gained by a unit of cosine, nats, set by hand.
         midpoint: Cosine at which the score is 0.5, set by hand.
         calibrator: Takes the place of the one set by hand.
@@ -84,6 +93,8 @@ class Embedding(Scorer):
         feature: str = "embedding",
         height: int = 128,
         width: int = 48,
+        mirror: bool = False,
+        centre: bool = False,
         slope: float = 8.0,
         midpoint: float = 0.5,
         calibrator: Calibrator | None = None,
@@ -93,24 +104,50 @@ class Embedding(Scorer):
             raise ValueError(f"height, width: expected integers >= 1, got {height}, {width}")
         self.path = path
         self.height, self.width = height, width
-        self.needs = (feature,) if path is None else ("images",)
+        self.mirror, self.centre = mirror, centre
+        self.feature = feature
+        self.needs = ("images" if path else feature, *(["camera"] if centre else []))
         self.network = None if path is None else load_embedder(Path(path))
 
     def describe(self, observations: Observations) -> Tensor:
         """(m, d) unit vectors; NaN where there is none."""
         if self.network is None:
-            value = observations[self.needs[0]].flatten(1)
+            value = observations[self.feature].flatten(1)
             value = value if value.is_floating_point() else value.float()
-            return nn.functional.normalize(value, dim=1)
-        device = observations.device
-        crops = crops_of(observations.images, (self.height, self.width))
-        with torch.no_grad():
-            found = [self.network(part.to(device)) for part in crops.split(BATCH)]
-        vectors = torch.cat(found).float() if len(crops) else torch.zeros(0, 1, device=device)
-        return nn.functional.normalize(vectors.to(device), dim=1)
+            vectors = normalize(value, dim=1)
+        else:
+            crops = crops_of(observations.images, (self.height, self.width))
+            vectors = embed(self.network, crops, self.mirror, observations.device)
+        return centred(vectors, observations["camera"]) if self.centre else vectors
 
     def compare(self, description: Tensor, pairs: Tensor) -> Tensor:
         return (description[pairs[0]] * description[pairs[1]]).sum(1)
+
+
+def embed(
+    network: Callable[[Tensor], Tensor],
+    crops: Float[Tensor, "m 3 height width"],
+    mirror: bool = False,
+    device: torch.device | str = "cpu",
+) -> Float[Tensor, "m d"]:
+    """Unit vectors of crops, some at a time; with ``mirror``, of each and its mirror image."""
+    found = []
+    with torch.no_grad():
+        for part in crops.split(BATCH) if len(crops) else ():
+            vectors = normalize(network(part.to(device)).float(), dim=1)
+            if mirror:
+                vectors = vectors + normalize(network(part.flip(3).to(device)).float(), dim=1)
+            found.append(vectors)
+    return normalize(torch.cat(found).to(device), dim=1) if found else torch.zeros(0, 1).to(device)
+
+
+def centred(vectors: Float[Tensor, "m d"], camera: Int64[Tensor, " m"]) -> Float[Tensor, "m d"]:
+    """Unit vectors without the mean of their camera's (which counts :data:`FEW` vectors at 0)."""
+    found = vectors.clone()
+    for own in torch.unique(camera):
+        known = (camera == own) & vectors.isfinite().all(1)
+        found[known] -= vectors[known].sum(0) / (int(known.sum()) + FEW)
+    return normalize(found, dim=1)
 
 
 def crops_of(images: Images | None, size: Sequence[int]) -> Float[Tensor, "m 3 height width"]:
@@ -146,19 +183,42 @@ def load_embedder(path: Path) -> Callable[[Tensor], Tensor]:
 
 
 class _OnnxNetwork:
-    """An ONNX file run by OpenCV, on the CPU."""
+    """An ONNX file run on the CPU: by OpenCV, or, where that cannot read it, by onnxruntime."""
 
     def __init__(self, path: Path) -> None:
         import cv2
 
         try:
-            self._net: Any = cv2.dnn.readNetFromONNX(str(path))
+            network = cv2.dnn.readNetFromONNX(str(path))
         except cv2.error as error:
-            raise ValueError(f"{path} is not a readable ONNX file: {error}") from error
+            self._run = _run_by_onnxruntime(path, error)
+        else:
+            self._run = partial(_run_by_opencv, network)
 
     def __call__(self, crops: Tensor) -> Tensor:
-        self._net.setInput(crops.cpu().numpy())
-        return torch.from_numpy(self._net.forward().copy())
+        return torch.from_numpy(self._run(crops.cpu().numpy()))
+
+
+def _run_by_opencv(network: Any, crops: np.ndarray) -> np.ndarray:
+    network.setInput(crops)
+    return network.forward().copy()
+
+
+def _run_by_onnxruntime(path: Path, error: Exception) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of crops; ValueError where this is no better than OpenCV, which gave the error."""
+    try:
+        from onnxruntime import InferenceSession
+    except ImportError:
+        raise ValueError(
+            f"{path} is not an ONNX file that OpenCV reads ({error}); "
+            "if it is good, install onnxruntime, which reads more: pip install onnxruntime"
+        ) from error
+    try:
+        session = InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    except Exception as reason:  # onnxruntime's errors have no common base of their own
+        raise ValueError(f"{path} is not a readable ONNX file: {reason}") from reason
+    name = session.get_inputs()[0].name
+    return lambda crops: session.run(None, {name: crops})[0]
 
 
 def save_embedding(path: str | Path, network: EmbeddingNetwork) -> None:

@@ -40,7 +40,7 @@ class EvidenceNetwork(nn.Module):
         super().__init__()
         self.covariates = Covariates(covariates)
         self.weights = nn.Parameter(torch.ones(modalities))
-        inputs = 2 * modalities + 2 * len(self.covariates)
+        inputs = 2 * modalities + self.covariates.width
         self.hidden = nn.Linear(inputs, width)
         self.out = nn.Linear(width, 1)
         nn.init.zeros_(self.out.weight)

@@ -79,7 +79,7 @@ class LikelihoodRatio(Calibrator):
         self.covariates = Covariates(covariates)
         self.needs = self.covariates.needs
         self.regularisation = regularisation
-        columns = 2 * len(self.covariates)
+        columns = self.covariates.width
         base = self.covariates.base_columns(torch.zeros(1, len(self.covariates))).shape[1]
         self.gain = nn.Parameter(torch.zeros(columns, dtype=torch.float64))
         self.offset = nn.Parameter(torch.zeros(base - 1, dtype=torch.float64))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -39,17 +40,23 @@ class Motion(Scorer):
     def __init__(
         self,
         strangers: float = 0.1,
-        model: MotionModel | None = None,
+        weight: float = 1.0,
+        fade: float = 0.0,
+        patience: float = 0.2,
         limit: float = 5.0,
+        model: MotionModel | None = None,
         calibrator: Calibrator | None = None,
     ) -> None:
-        for name, value in (("strangers", strangers), ("limit", limit)):
+        for name, value in (("strangers", strangers), ("limit", limit), ("patience", patience)):
             if not 0 < value < float("inf"):
                 raise ValueError(f"{name}: expected a positive number, got {value}")
-        floor = 1 / (1 + torch.tensor(limit).exp().item())
-        super().__init__(calibrator or Logistic(1.0, 0.0, floor, 1 - floor))
+        super().__init__(calibrator or Logistic(1.0, 0.0))
         self.model = model or MotionModel()
         self.strangers = strangers
+        self.weight = weight
+        self.fade = fade
+        self.patience = patience
+        self.limit = limit
 
     def describe(self, observations: Observations) -> tuple[Tensor, ...]:
         """Times, states and cameras of both ends."""
@@ -68,6 +75,7 @@ class Motion(Scorer):
         earlier, later = State.unpacked(leaving[a]), State.unpacked(entry[b])
         height = ((earlier.mean[:, 2, 0] + later.mean[:, 2, 0]) / 2).exp()
         ratio = log_ratio(earlier, later, seconds, height, self.model).sum(1)
+        ratio = self.weight * (ratio - math.log(self.strangers)).clamp(-self.limit, self.limit)
         says = (seconds > 0) & (camera[a] == camera[b])
-        evidence = ratio - torch.tensor(self.strangers).log().to(ratio)
-        return evidence.where(says, torch.nan)
+        ratio = ratio - self.fade * torch.log1p(seconds.clamp(min=0) / self.patience)
+        return ratio.where(says, torch.nan)

@@ -38,7 +38,7 @@ class CropData(LightningDataModule):
     def __init__(
         self,
         dataset: datasets.Dataset,
-        validate: int = 6,
+        validate: int = 10,
         test: int = 16,
         persons: int = 16,
         crops: int = 4,
@@ -58,6 +58,7 @@ class CropData(LightningDataModule):
         self.size = height, width
         self.seed = seed
         self.parts: dict[str, Crops] = {}
+        self.people = torch.zeros(0, dtype=torch.int64)
 
     def setup(self, stage: str) -> None:
         if self.parts:
@@ -71,6 +72,7 @@ class CropData(LightningDataModule):
         if len(people) < validate + test + 2:
             least = validate + test + 2
             raise ValueError(f"dataset: expected {least} identities or more, got {len(people)}")
+        self.people = people[: len(people) - validate - test]
         ends = [0, len(people) - validate - test, len(people) - test, len(people)]
         for k, name in enumerate(("train", "validate", "test")):
             chosen = torch.isin(identity, people[ends[k] : ends[k + 1]])

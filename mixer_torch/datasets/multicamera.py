@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -14,9 +14,10 @@ from jaxtyping import Float64, Int64
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.boxes import Boxes, read_boxes
 from mixer_torch.datasets.calibration import Calibration, read_calibration
+from mixer_torch.datasets.joined_frames import JoinedFrames
 from mixer_torch.datasets.local_motion import local_motion
 from mixer_torch.datasets.motchallenge import foot_points, match_boxes
-from mixer_torch.observations import Observations
+from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,13 @@ class Camera:
         truth: Table of true boxes, whose identities are those of all cameras.
         name: Which camera of a calibration file of several.
         delay: Frame k of the tables is frame k - delay of the clock that all cameras share.
+        images: Where the image of a frame is: a pattern with the number that the tables give it,
+            such as ``left/{frame:06d}.jpg``; None where there are no pixels.
+        video: The video that the frames are from, instead of ``images``.
+        first_frame: What the tables call the first frame of the video.
+
+    Raises:
+        ValueError: There are both images and a video.
     """
 
     boxes: str | Path
@@ -39,6 +47,44 @@ class Camera:
     truth: str | Path | None = None
     name: str | None = None
     delay: int = 0
+    images: str | None = None
+    video: str | Path | None = None
+    first_frame: int = 0
+
+    def __post_init__(self) -> None:
+        if self.images is not None and self.video is not None:
+            raise ValueError(
+                f"images, video: expected one of them, got {self.images!r} and {self.video!r}"
+            )
+
+    def frames(
+        self, frame: Int64[np.ndarray, " n"]
+    ) -> tuple[Sequence[Any], Int64[np.ndarray, " n"]]:
+        """The pixels of some frames, in the tables' count, and which of them each is.
+
+        Raises:
+            FileNotFoundError: An image, or the video, is missing.
+            ValueError: The pattern does not fit, or the video has no such frame.
+        """
+        if self.video is not None:
+            video = VideoFrames(find(self.video))
+            index = frame - self.first_frame
+            wrong = (index < 0) | (index >= len(video))
+            if wrong.any():
+                last = self.first_frame + len(video) - 1
+                raise ValueError(
+                    f"{self.boxes}: frame {frame[wrong.argmax()]}: {self.video} has frames "
+                    f"{self.first_frame} to {last}"
+                )
+            return video, index
+        chosen, index = np.unique(frame, return_inverse=True)
+        try:
+            names = [str(self.images).format(frame=int(k)) for k in chosen]
+        except (ValueError, KeyError, IndexError) as error:
+            raise ValueError(
+                f"images: expected a pattern with {{frame}}, got {self.images!r}: {error!r}"
+            ) from error
+        return FolderFrames([find(name) for name in names]), index.reshape(-1)
 
 
 class MultiCamera(Dataset):
@@ -71,8 +117,8 @@ class MultiCamera(Dataset):
             those that ``step`` leaves, also. 0 for none, and no velocity.
 
     Raises:
-        ValueError: An argument is out of range; or some cameras have truth, or a calibration, and
-            others none.
+        ValueError: An argument is out of range; or some cameras have truth, a calibration or
+            pixels, and others none.
     """
 
     def __init__(
@@ -103,6 +149,7 @@ class MultiCamera(Dataset):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
         _check_all("truth", [camera.truth for camera in cameras], needed=source == "gt")
         _check_all("calibration", [camera.calibration for camera in cameras], needed=window > 0)
+        _check_all("images, video", [camera.images or camera.video for camera in cameras])
         self.cameras = tuple(cameras)
         self.frame_rate = frame_rate
         self.start, self.stop, self.step = start, stop, step
@@ -123,7 +170,21 @@ class MultiCamera(Dataset):
         return Observations(
             torch.from_numpy(view),
             {name: torch.from_numpy(value) for name, value in features.items()},
+            self._images(features),
         )
+
+    def _images(self, features: dict[str, np.ndarray]) -> Images | None:
+        """The pixels of all cameras, where they have any."""
+        if not (self.cameras[0].images or self.cameras[0].video):
+            return None
+        parts: list[Sequence[Any]] = []
+        index = np.empty_like(features["frame"])
+        for number, camera in enumerate(self.cameras):
+            mine = features["camera"] == number
+            frames, place = camera.frames(features["frame"][mine] + camera.delay)
+            index[mine] = place + sum(map(len, parts))
+            parts.append(frames)
+        return Images(JoinedFrames(parts), index, features["box"])
 
     def _load(self, number: int, camera: Camera) -> dict[str, np.ndarray]:
         """The features of what one camera saw."""
@@ -203,7 +264,7 @@ def standing_points(
     return point + depth * away / np.linalg.norm(away, axis=1, keepdims=True)
 
 
-def _check_all(name: str, values: Sequence[str | Path | None], needed: bool) -> None:
+def _check_all(name: str, values: Sequence[str | Path | None], needed: bool = False) -> None:
     """ValueError where some cameras lack a file that others have, or that is needed."""
     without = [k for k, value in enumerate(values) if value is None]
     if without and (needed or len(without) < len(values)):

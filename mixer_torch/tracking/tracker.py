@@ -74,6 +74,9 @@ class Tracker(BaseTracker):
         min_strength: float = 5.0,
         fill: float = 1.0,
         smoothing: float = 0.2,
+        scale: float = 1.0,
+        scale2: float = 5.0,
+        memory2: int = 30,
     ) -> None:
         self.scorers = list(scorers)
         self.tracklet_scorers = list(tracklet_scorers)
@@ -85,6 +88,8 @@ class Tracker(BaseTracker):
         self.gaps = tuple(gaps)
         self.reach, self.speed, self.growth = reach, speed, growth
         self.memory = memory
+        self.scale = scale
+        self.scale2, self.memory2 = scale2, memory2
         self.min_boxes = min_boxes
         self.min_confidence = min_confidence
         self.min_strength = min_strength
@@ -121,7 +126,7 @@ class Tracker(BaseTracker):
             must_link: Pairs of boxes that are known to be of one object.
             progress: Told what is done while it goes on.
         """
-        known = with_paths(observations, labels, self.model, self.memory)
+        known = with_paths(observations, labels, self.model, self.memory, self.scale)
         affinity = score(known, self.scorers, pairs, progress)
         return solve(affinity, self.solver, self.fusion, must_link=must_link)
 
@@ -142,7 +147,7 @@ class Tracker(BaseTracker):
             settled: Which tracklets are known to be of different objects, each of its own.
             progress: Told what is done while it goes on.
         """
-        known = with_paths(observations, labels, self.model, self.memory)
+        known = with_paths(observations, labels, self.model, self.memory2, self.scale2)
         tracklets = summarised(known, labels)
         pairs = successive(tracklets, gap, self.reach, self.speed, self.growth)
         if settled is not None:

@@ -7,7 +7,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
-from mixer_torch.tracking.motion import MotionModel, box_position, filtered
+from mixer_torch.tracking.motion import MotionModel, box_position, filtered, resolution
 
 PATH_FEATURES = ("span", "entry", "exit")
 """Features that tell how something came and went: ``span`` (m, 2), the times of its first and last
@@ -20,6 +20,7 @@ def with_paths(
     labels: Int64[Tensor, " m"],
     model: MotionModel,
     memory: int = 12,
+    scale: float = 1.0,
 ) -> Observations:
     """The observations with :data:`PATH_FEATURES`, fitted on those of the same label.
 
@@ -35,8 +36,9 @@ def with_paths(
     """
     position, height = box_position(observations["box"])
     time = observations["time"].double()
+    blur = scale * resolution(position, height, time, labels, model)
     states = [
-        filtered(position, height, time, labels, model, memory, backwards).packed
+        filtered(position, height, time, labels, model, blur, memory, backwards).packed
         for backwards in (True, False)
     ]
     span = torch.stack([time, time], 1)

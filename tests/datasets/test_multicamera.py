@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,39 @@ def test_without_truth_and_calibration(folder):
         nobody = MultiCamera(cameras(folder), 10.0, start=500, window=window).load()
         assert len(nobody) == 0
         assert nobody["position"].shape == (0, 3)
+
+
+def test_pixels(folder):
+    """Every frame is of one colour, which says which it is."""
+    import cv2
+
+    south, west = cameras(folder)
+    for frame in range(40):
+        cv2.imwrite(str(folder / f"{frame:03d}.png"), np.full((1080, 1920, 3), frame, np.uint8))
+    size, codec = (192, 108), cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(folder / "west.avi"), codec, 10, size)
+    for frame in range(40):
+        writer.write(np.full((*size[::-1], 3), 100 + 3 * frame, np.uint8))
+    writer.release()
+    pictures = replace(south, images=str(folder / "{frame:03d}.png"))
+    video = replace(west, video=folder / "west.avi", first_frame=1)
+    seen = MultiCamera([pictures, video], 10.0, start=3, step=9).load()
+    for i, (frame, camera) in enumerate(zip(seen["frame"], seen["camera"], strict=True)):
+        expected = 100 + 3 * int(frame) if camera else int(frame)
+        assert abs(int(seen.images.frame(i).mean()) - expected) <= (2 if camera else 0)
+    with pytest.raises(ValueError, match="images, video: expected a file for every camera or"):
+        MultiCamera([pictures, west], 10.0)
+    with pytest.raises(ValueError, match="images, video: expected one of them"):
+        replace(video, images="{frame}.png")
+    late = replace(video, first_frame=2)
+    with pytest.raises(ValueError, match=r"frame 1: .*west\.avi has frames 2 to 41"):
+        MultiCamera([pictures, late], 10.0).load()
+    for pattern, error, message in (
+        ("{number}.png", ValueError, r"images: .* got '\{number\}\.png'"),
+        ("{frame}.png", FileNotFoundError, r"0\.png"),
+    ):
+        with pytest.raises(error, match=message):
+            MultiCamera([replace(south, images=pattern)], 10.0).load()
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,8 @@
-"""Fusion, pair network, clustering and embedding trained from the command line, in miniature."""
+"""Fusion, pair network and clustering trained from the command line, in miniature."""
 
 import csv
 import json
 
-import numpy as np
 import pytest
 import torch
 import yaml
@@ -12,7 +11,6 @@ from mixer_torch.cli import main as mixer
 from train.cli import main as mixer_train
 from train.data import EpochSampler, by_identity
 from train.dependence import dependence
-from train.embedding import mean_precision, retrieval, supervised_contrastive
 from train.tables import PairTable
 
 pytestmark = pytest.mark.filterwarnings("default")
@@ -95,65 +93,6 @@ def test_pair_network_and_on_through_the_clustering(settings, tmp_path):
     path.write_text(yaml.safe_dump(settings))
     assert mixer_train(["fit", "--config", str(path)]) == 0
     assert (tmp_path / "through" / "export" / "scorers.yaml").is_file()
-
-
-def test_embedding(tmp_path, capsys):
-    import cv2
-
-    generator = np.random.default_rng(0)
-    for person in range(1, 9):
-        (tmp_path / "people" / f"{person:03d}").mkdir(parents=True)
-        pattern = generator.integers(0, 255, (8, 3, 3), dtype=np.uint8)
-        for shot in range(4):
-            image = cv2.resize(pattern, (24, 64), interpolation=cv2.INTER_NEAREST)
-            image = (0.8 * image + generator.integers(0, 50, image.shape)).astype(np.uint8)
-            name = f"{shot % 2 + 1:02d}_{shot + 1}.png"
-            cv2.imwrite(str(tmp_path / "people" / f"{person:03d}" / name), image)
-    people = {"class_path": "mixer_torch.datasets.Persons"}
-    people["init_args"] = {"path": str(tmp_path / "people")}
-    sizes = {"validate": 2, "test": 3, "persons": 3, "crops": 4, "height": 64, "width": 24}
-    settings = {
-        "out": str(tmp_path / "run"),
-        "model": {
-            "class_path": "train.embedding.EmbeddingTraining",
-            "init_args": {"dimension": 16, "width": 4},
-        },
-        "data": {"class_path": "train.crops.CropData", "init_args": {"dataset": people, **sizes}},
-        "trainer": {"max_epochs": 3, "enable_progress_bar": False, "accelerator": "cpu"},
-    }
-    path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump(settings))
-    assert mixer_train(["fit", "--config", str(path)]) == 0
-    assert mixer_train(["test", "--config", str(path)]) == 0
-    metrics = json.loads((tmp_path / "run" / "test" / "metrics.json").read_text())
-    assert 0 <= metrics["rank1"] <= 1
-    scene = tmp_path / "scene.yaml"
-    scene.write_text(yaml.safe_dump({"dataset": people}))
-    words = ["associate", "--config", str(scene), "--config"]
-    words += [str(tmp_path / "run" / "export" / "scorers.yaml"), "--out", str(tmp_path / "found")]
-    assert mixer(words) == 0
-
-
-def test_contrastive_loss_by_hand():
-    vectors = torch.tensor([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    loss = supervised_contrastive(vectors, torch.tensor([0, 0, 1]), 0.5)
-    # Of the first two, each has the other at cosine 1 and the stranger at 0.
-    expected = -2 + torch.logsumexp(torch.tensor([2.0, 0.0]), 0)
-    torch.testing.assert_close(loss, expected)
-    alone = supervised_contrastive(vectors, torch.tensor([0, 1, 2]), 0.5)
-    assert float(alone) == 0.0
-
-
-def test_retrieval_by_hand():
-    hit = torch.tensor([[True, False, True], [False, True, False], [False, False, False]])
-    found = mean_precision(hit)
-    assert found["rank1"] == 0.5
-    assert found["map"] == pytest.approx(((1 + 2 / 3) / 2 + 1 / 2) / 2)
-    vectors = torch.nn.functional.normalize(
-        torch.tensor([[1.0, 0.1], [1.0, 0.0], [0.0, 1.0]]), dim=1
-    )
-    asked = retrieval(vectors, torch.tensor([0, 0, 1]), torch.tensor([1, 2, 2]))
-    assert asked == {"rank1": 1.0, "map": 1.0}
 
 
 def make_table(identity):
