@@ -466,6 +466,19 @@ def test_an_error_on_the_way_leaves_what_was_finished(mixer):
     assert files_in("out") == {"a.txt", "b.txt", "config.yaml"}
 
 
+def test_what_a_tracker_cannot_do_names_the_sequence(mixer):
+    write_sequence("a")
+    scorer = [{"class_path": "scorers.Proximity"}]
+    settings = {"scorers": scorer, "tracklet_scorers": scorer}
+    tracker = {"class_path": "mixer_torch.tracking.Tracker", "init_args": settings}
+    Path("places.yaml").write_text(yaml.safe_dump({"tracker": tracker}))
+    code, _, err = mixer("a", "--out", "out", config="places.yaml")
+    assert code == 2
+    assert err.startswith("mixer track: error: a: ")
+    assert "position" in err
+    assert files_in("out") == {"config.yaml"}
+
+
 def test_a_run_that_is_killed_leaves_nothing_half_written(mixer, tmp_path):
     for name in ("a", "b"):
         write_sequence(name)

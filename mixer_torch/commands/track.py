@@ -17,6 +17,7 @@ from mixer_torch.commands.associate import device_named
 from mixer_torch.commands.text import listing
 from mixer_torch.datasets.base import find
 from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.datasets.motchallenge_frames import NumberedFrames
 from mixer_torch.observations import Observations
 from mixer_torch.outputs import check_folder
 from mixer_torch.scoring import Progress
@@ -53,12 +54,8 @@ def track(
 ) -> str:
     """Follow objects through whole sequences, and say how well where the truth is there.
 
-    A sequence is a folder in the layout of MOTChallenge, of which nothing but det/det.txt has to be
-    there. The tracker sees the detections, and the pixels where there are any; gt/gt.txt is read
-    for the metrics alone.
-
-    All sequences are read and checked before the first is tracked. Each result is written whole, as
-    soon as it is there, so that a run that is interrupted leaves those that it has finished.
+    A sequence is a folder in the layout of MOTChallenge, of which det/det.txt is all that is
+    needed. The truth, gt/gt.txt, is read for the metrics alone.
 
     Args:
         sequences: Folders, as they are or inside $MIXER_DATA.
@@ -85,31 +82,24 @@ def track(
     folders = _by_name(sequences)
     check_folder(out)
     options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
-    options |= {"pixels": pixels, "repair": repair}
-    jobs = [_read(name, folder, frame_rate, options) for name, folder in folders.items()]
-    truths, notes = _truths(jobs, classes)
-    notes = [note for job in jobs for note in job.notes] + notes
+    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair}
+    jobs = [_read(name, folder, options, video) for name, folder in folders.items()]
+    truths, unreadable = _truths(jobs, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")
     outcomes: dict[str, Outcome] = {}
-    written = ["config.yaml"]
     try:
         for job in jobs:
-            outcome = _track(job, tracker.to(place), place, progress)
-            write_tracks(out / f"{job.name}{SUFFIX[format]}", outcome.tracks)
-            written.append(f"{job.name}{SUFFIX[format]}")
-            if video and _write_video(out, job, outcome.tracks, progress):
-                written.append(f"{job.name}.mp4")
-            elif video:
-                notes.append(f"{job.name}: no video, as there are no frames")
-            outcomes[job.name] = outcome
+            result = out / f"{job.name}{SUFFIX[format]}"
+            outcomes[job.name] = _track(job, tracker.to(place), place, result, progress)
     except KeyboardInterrupt:
         finished = ", ".join(outcomes) or "none"
         raise KeyboardInterrupt(f"finished, and in {out}: {finished}") from None
     metrics, missing = _measure(outcomes, truths)
+    notes = [note for job in jobs for note in job.notes] + unreadable + missing
+    written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
     table = _table(jobs, outcomes, metrics)
-    notes = [f"note: {note}" for note in notes + missing]
-    return "\n".join([table, "", *notes, *listing(out, written)])
+    return "\n".join([table, "", *(f"note: {note}" for note in notes), *listing(out, written)])
 
 
 @dataclass(frozen=True)
@@ -120,16 +110,18 @@ class Job:
         name: Its folder's.
         dataset: Where it comes from.
         observations: What was detected, without the truth.
+        frames: What to make a video of; None for no video.
         notes: What is to be said of how it was read.
     """
 
     name: str
     dataset: MOTChallenge
     observations: Observations
+    frames: NumberedFrames | None
     notes: list[str]
 
     @property
-    def frames(self) -> int:
+    def length(self) -> int:
         """How many frames were looked at, with detections or without."""
         last = int(self.observations["frame"].max()) if len(self.observations) else 0
         last = max(last, self.dataset.info().length or 0)
@@ -143,12 +135,14 @@ class Outcome:
     Args:
         tracks: Who was where.
         association: What they were made from.
-        seconds: How long it took, with scoring and without reading.
+        seconds: How long it took, with scoring, without reading and writing.
+        files: Names of what was written.
     """
 
     tracks: Tracks
     association: Association
     seconds: float
+    files: list[str]
 
 
 def _by_name(sequences: Sequence[Path]) -> dict[str, Path]:
@@ -168,14 +162,19 @@ def _by_name(sequences: Sequence[Path]) -> dict[str, Path]:
     return folders
 
 
-def _read(name: str, folder: Path, frame_rate: float | None, options: Mapping[str, Any]) -> Job:
+def _read(name: str, folder: Path, options: dict[str, Any], video: bool) -> Job:
     notes = []
-    if frame_rate is None and not (folder / "seqinfo.ini").is_file():
-        frame_rate = FRAME_RATE
-        notes = [f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"]
-    dataset = MOTChallenge(folder, frame_rate=frame_rate, truth=False, **options)
+    if options["frame_rate"] is None and not (folder / "seqinfo.ini").is_file():
+        options = options | {"frame_rate": FRAME_RATE}
+        notes.append(
+            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"
+        )
+    dataset = MOTChallenge(folder, truth=False, **options)
     observations, repaired = dataset.read()
-    return Job(name, dataset, observations, notes + repaired)
+    frames = dataset.frames() if video else None
+    if video and not frames:
+        notes.append(f"{name}: no video, as there are no frames")
+    return Job(name, dataset, observations, frames, notes + repaired)
 
 
 def _truths(
@@ -197,33 +196,41 @@ def _truths(
     return truths, notes
 
 
-def _track(job: Job, tracker: BaseTracker, place: torch.device, progress: Progress) -> Outcome:
-    begin = time.perf_counter()
-    observations = job.observations.to(place)
+def _track(
+    job: Job, tracker: BaseTracker, place: torch.device, result: Path, progress: Progress
+) -> Outcome:
+    """Track one sequence and write its result, each file whole or not at all."""
 
     def told(what: str, done: int, of: int) -> None:
         progress(f"{job.name}: {what}", done, of)
 
-    with torch.no_grad():
-        association = tracker.associate(observations, told)
-        tracks = tracker.finish(observations, association)
-    return Outcome(tracks, association, time.perf_counter() - begin)
+    begin = time.perf_counter()
+    observations = job.observations.to(place)
+    try:
+        with torch.no_grad():
+            association = tracker.associate(observations, told)
+            tracks = tracker.finish(observations, association)
+    except (ValueError, KeyError) as error:
+        raise ValueError(f"{job.name}: {error.args[0] if error.args else error}") from error
+    seconds = time.perf_counter() - begin
+    write_tracks(result, tracks)
+    files = [result.name]
+    if job.frames:
+        files.append(f"{job.name}.mp4")
+        _write_video(result.with_name(files[-1]), job, tracks, told)
+    return Outcome(tracks, association, seconds, files)
 
 
-def _write_video(out: Path, job: Job, tracks: Tracks, progress: Progress) -> bool:
-    """Whether there are frames to write a video of; it is written whole or not at all."""
+def _write_video(path: Path, job: Job, tracks: Tracks, progress: Progress) -> None:
     from mixer_torch.plots import write_track_video
 
-    frames = job.dataset.frames()
-    if frames is None or not len(frames):
-        return False
-    partial = out / f".{job.name}.partial.mp4"
+    partial = path.with_name(f".{job.name}.partial.mp4")
     try:
-        write_track_video(partial, tracks, frames, job.dataset.info().frame_rate, progress)
-        partial.replace(out / f"{job.name}.mp4")
+        rate = job.dataset.info().frame_rate
+        write_track_video(partial, tracks, job.frames, rate, progress)  # type: ignore[arg-type]
+        partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
-    return True
 
 
 def _measure(
@@ -253,7 +260,7 @@ def _table(
     for job in jobs:
         outcome = outcomes[job.name]
         found = len(np.unique(outcome.tracks.identity))
-        counts = np.array([job.frames, len(job.observations), found, outcome.seconds])
+        counts = np.array([job.length, len(job.observations), found, outcome.seconds])
         sums += counts
         cells = [*_cells(counts), *_measured(metrics, job.name)]
         rows.append([job.name, *cells, outcome.association.status.value])
