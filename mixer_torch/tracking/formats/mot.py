@@ -112,15 +112,16 @@ class MotTruth:
         and are wrong.
         """
         away = np.zeros(len(result), dtype=bool)
-        for frame in np.unique(self.frame[self.distractor]):
-            found = np.flatnonzero(result.frame == frame)
-            others = self.frame == frame
-            wanted = self.tracks.box[self.tracks.frame == frame]
-            true = np.concatenate([wanted, self.box[others]])
-            distractor = np.append(np.zeros(len(wanted), dtype=bool), self.distractor[others])
-            overlap = similarity(true, result.box[found])
-            row, column = match(overlap, DISTRACTOR_OVERLAP)
-            away[found[column[distractor[row]]]] = True
+        order = np.argsort(self.frame, kind="stable")
+        others = self.frame[order]
+        for frame in np.unique(self.frame[self.distractor]).tolist():
+            found = _rows_of(frame, result.frame)
+            other = order[_rows_of(frame, others)]
+            wanted = self.tracks.box[_rows_of(frame, self.tracks.frame)]
+            true = np.concatenate([wanted, self.box[other]])
+            distractor = np.append(np.zeros(len(wanted), dtype=bool), self.distractor[other])
+            row, column = match(similarity(true, result.box[found]), DISTRACTOR_OVERLAP)
+            away[found][column[distractor[row]]] = True
         return result.select(~away)
 
 
@@ -158,6 +159,11 @@ def read_mot_truth(
     tracks = Tracks(frame, identity, corners(rows[wanted]))
     others = rows[~wanted]
     return MotTruth(tracks, others[:, 0].astype(np.int64), corners(others), distractor[~wanted])
+
+
+def _rows_of(frame: int, frames: Int64[np.ndarray, " n"]) -> slice:
+    """Where a frame stands among frames in order."""
+    return slice(*np.searchsorted(frames, [frame, frame + 1]))
 
 
 def _delimiter(path: Path) -> str | None:
