@@ -99,12 +99,13 @@ def test_cameras_that_the_format_cannot_hold_are_named(tmp_path):
 def test_an_interrupted_writer_leaves_what_was_there(tmp_path, monkeypatch):
     path = file_of(tmp_path, "old")
     tracks = Tracks([1, 2], [1, 1], np.ones((2, 4)))
-    tracks.confidence[1] = 2
 
     class Stop(BaseException):
         pass
 
-    def interrupted(*_, **__):
+    def interrupted(*columns, strict):
+        yield next(zip(*columns, strict=strict))
+        assert [file.name for file in tmp_path.iterdir() if file != path] == ["result.txt.partial"]
         raise Stop
 
     monkeypatch.setattr("mixer_torch.tracking.formats.mot.zip", interrupted, raising=False)
