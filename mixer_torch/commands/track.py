@@ -97,6 +97,7 @@ def track(
         raise KeyboardInterrupt(f"finished, and in {out}: {finished}") from None
     metrics, missing = _measure(outcomes, truths)
     notes = [note for job in jobs for note in job.notes] + unreadable + missing
+    notes += _latencies(outcomes)
     written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
     table = _table(jobs, outcomes, metrics)
     return "\n".join([table, "", *(f"note: {note}" for note in notes), *listing(out, written)])
@@ -248,6 +249,20 @@ def _measure(
     except ImportError as error:
         return {}, [f"no metrics: {error}"]
     return {**found["sequences"], "": found["combined"]}, []
+
+
+def _latencies(outcomes: Mapping[str, Outcome]) -> list[str]:
+    """How long after each frame a tracker that works online had its answer."""
+    notes = []
+    for name, outcome in outcomes.items():
+        seconds = outcome.association.stats.get("latency", ())
+        if len(seconds):
+            half, most, worst = 1000 * np.quantile(seconds, [0.5, 0.99, 1])
+            notes.append(
+                f"{name}: {half:.1f} ms a frame (median), {most:.1f} ms for 99 of 100, "
+                f"{worst:.1f} ms at worst"
+            )
+    return notes
 
 
 def _table(

@@ -35,7 +35,7 @@ def write_track_video(
     """Write an mp4 of frames with the boxes of tracks, each identity in a colour of its own.
 
     A trail shows where the foot of a box was in the last second. Boxes that were interpolated
-    (of no observation, while others are of one) are thin and dashed; an identity that has one box
+    (of no observation, while others are of one) are dashed; an identity that has one box
     in all is thin, grey, and not numbered. Frames without boxes are in the video, too.
 
     Args:
