@@ -209,14 +209,15 @@ def _run_by_onnxruntime(path: Path, error: Exception) -> Callable[[np.ndarray], 
     try:
         from onnxruntime import InferenceSession
     except ImportError:
+        reason = " ".join(str(error).split())
         raise ValueError(
-            f"{path} is not an ONNX file that OpenCV reads ({error}); "
+            f"{path} is not an ONNX file that OpenCV reads ({reason}); "
             "if it is good, install onnxruntime, which reads more: pip install onnxruntime"
         ) from error
     try:
         session = InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    except Exception as reason:  # onnxruntime's errors have no common base of their own
-        raise ValueError(f"{path} is not a readable ONNX file: {reason}") from reason
+    except Exception as refused:  # onnxruntime's errors have no base of their own
+        raise ValueError(f"{path} is not a readable ONNX file: {refused}") from refused
     name = session.get_inputs()[0].name
     return lambda crops: session.run(None, {name: crops})[0]
 

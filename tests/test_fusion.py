@@ -42,6 +42,16 @@ def test_log_odds_is_the_negative_log_likelihood_ratio_up_to_its_cap():
     assert cost.tolist() == pytest.approx([0, -math.log(4), 3, -3], abs=1e-6)
 
 
+def test_with_a_prior_the_cost_is_the_negative_log_posterior_odds():
+    scores = torch.tensor([[0.5, 0.8], [0.5, 0.8]])
+    cost = mx.LogOddsFusion(prior=0.2)(scores, NAMES)
+    # Bayes: 0.2 * 0.8² / (0.2 * 0.8² + 0.8 * 0.2²) = 0.8
+    assert cost.tolist() == pytest.approx([math.log(4), -math.log(0.8 / 0.2)], abs=1e-6)
+    for prior in (0.0, 1.0, math.nan):
+        with pytest.raises(ValueError, match="prior: expected a number between 0 and 1"):
+            mx.LogOddsFusion(prior=prior)
+
+
 @pytest.mark.parametrize("fusion", [mx.LinearFusion, mx.LogOddsFusion])
 def test_indifferent_is_free_and_more_alike_is_cheaper(fusion):
     scores = torch.linspace(0.05, 0.95, 19).repeat(2, 1)

@@ -13,8 +13,6 @@ from train.data import EpochSampler, by_identity
 from train.dependence import dependence
 from train.tables import PairTable
 
-pytestmark = pytest.mark.filterwarnings("default")
-
 
 def write_table(path, seed, objects=7, frames=8):
     generator = torch.Generator().manual_seed(seed)
