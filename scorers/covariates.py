@@ -171,8 +171,7 @@ class Covariates(nn.Module):
     def _indicators(self, values: Float[Tensor, "P c"]) -> list[Tensor]:
         """(P, LEVELS) of each named covariate: 1 where it has that value."""
         return [
-            (values[:, k, None] == self.levels[row]).to(values)
-            for row, k in enumerate(self._named)
+            (values[:, k, None] == self.levels[row]).to(values) for row, k in enumerate(self._named)
         ]
 
     def support(self, values: Float[Tensor, "P c"]) -> Float[Tensor, " P"]:

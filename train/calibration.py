@@ -17,7 +17,7 @@ from scorers.calibrators import MonotoneSpline
 from scorers.fitted import save_calibrator
 from scorers.likelihood_ratio import LikelihoodRatio
 from train.data import PairData, Rows
-from train.evaluation import Affinities, evaluate_scores
+from train.evaluation import Affinities, evaluate_scores, summary
 from train.tables import PairTable, calibrated
 
 
@@ -57,6 +57,7 @@ class CalibratorTraining(LightningModule):
         self.decay = decay
         self.calibrators = nn.ModuleDict()
         self.kept = 1.0
+        self.report = ""
 
     def setup(self, stage: str) -> None:
         """Make the calibrators and let them see the pairs of training."""
@@ -132,7 +133,8 @@ class CalibratorTraining(LightningModule):
         """Figures and pictures, before and after, into the folder of the run."""
         data = self._data()
         folder = Path(self.trainer.default_root_dir) / "test"
-        evaluate_scores(folder, data.tables("test"), data.modalities, self.affinities(data))
+        found = evaluate_scores(folder, data.tables("test"), data.modalities, self.affinities(data))
+        self.report = summary(found)
 
     def affinities(self, data: PairData) -> Affinities:
         """Scores (l, P) of a table, set by hand and trained."""

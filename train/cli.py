@@ -80,6 +80,12 @@ class TrainCLI(LightningCLI):
         written = export(folder, self._scorers())
         print("written: " + ", ".join(str(path) for path in written))  # noqa: T201
 
+    def after_test(self) -> None:
+        """Say what was found, and where it is."""
+        if self.trainer.is_global_zero:
+            print(getattr(self.model, "report", ""))  # noqa: T201
+            print(f"written to {Path(self._get(self.config, 'out')) / 'test'}")  # noqa: T201
+
     def _scorers(self) -> list[Mapping[str, Any]]:
         data = self._get(self.config, "data")
         arguments = data.init_args if "init_args" in data else data
@@ -103,6 +109,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")
         warnings.filterwarnings("ignore", message=".*isinstance.treespec, LeafSpec.*")
+        warnings.filterwarnings("ignore", message=".*args parameter is intended to run from.*")
+        # Lightning's own calls of jsonargparse, not ours.
+        warnings.filterwarnings(
+            "ignore", category=DeprecationWarning, module=r"lightning\.pytorch\.cli"
+        )
         logging.getLogger("lightning.pytorch.utilities.rank_zero").setLevel(logging.WARNING)
         try:
             TrainCLI(

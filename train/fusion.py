@@ -16,7 +16,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 from mixer_torch.fusion import LogOddsFusion
 from train.data import PairData, Rows
 from train.dependence import dependence, worth
-from train.evaluation import evaluate_scores, solved, write_json
+from train.evaluation import evaluate_scores, solved, summary, write_json
 
 
 class FusionTraining(LightningModule):
@@ -47,6 +47,7 @@ class FusionTraining(LightningModule):
         self.free_weights = nn.Parameter(torch.zeros(0))
         self.modalities: tuple[str, ...] = ()
         self.prior = 0.0
+        self.report = ""
 
     @property
     def weights(self) -> Tensor:
@@ -106,7 +107,7 @@ class FusionTraining(LightningModule):
             "log odds": ((lambda table: table.evidence), LogOddsFusion()),
             "trained": ((lambda table: table.evidence), self.fusion()),
         }
-        evaluate_scores(folder, tables, self.modalities, compared)
+        self.report = summary(evaluate_scores(folder, tables, self.modalities, compared))
         report = {
             "dependence": dependence(tables, self.modalities),
             "worth": worth(tables, self.modalities, self.fusion()),

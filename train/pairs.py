@@ -18,7 +18,7 @@ from mixer_torch.fusion import LogOddsFusion
 from scorers.fitted import log_ratio_of
 from scorers.learned import SURE, EvidenceNetwork, save_network
 from train.data import PairData, Rows, stack_covariates
-from train.evaluation import evaluate_scores
+from train.evaluation import evaluate_scores, summary
 from train.tables import PairTable
 
 
@@ -57,6 +57,7 @@ class PairTraining(LightningModule):
         self.seed = seed
         self.network: nn.Module = nn.Identity()
         self.prior = 0.0
+        self.report = ""
 
     def setup(self, stage: str) -> None:
         data = self._data()
@@ -106,7 +107,8 @@ class PairTraining(LightningModule):
             "network": (self.scores, LogOddsFusion(cap=SURE)),
         }
         folder = Path(self.trainer.default_root_dir) / "test"
-        evaluate_scores(folder, data.tables("test"), data.modalities, compared)
+        found = evaluate_scores(folder, data.tables("test"), data.modalities, compared)
+        self.report = summary(found)
 
     @torch.no_grad()
     def scores(self, table: PairTable) -> Tensor:

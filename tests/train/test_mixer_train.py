@@ -16,8 +16,6 @@ from safetensors.torch import load_file
 from mixer_torch.cli import main as mixer
 from train.cli import main as mixer_train
 
-pytestmark = pytest.mark.filterwarnings("default")
-
 
 def write_table(path, seed, objects=8, frames=10):
     generator = torch.Generator().manual_seed(seed)
