@@ -15,6 +15,7 @@ from mixer_torch.commands.text import check_suffix, metrics_table
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.metrics import evaluate as measure
 from mixer_torch.outputs import known_identity, read_labels, write_json
+from mixer_torch.tracking.formats.files import written_whole
 
 SHOWN = ("precision", "recall", "f1", "bcubed_f1", "adjusted_rand")
 
@@ -59,7 +60,8 @@ def evaluate(
         lines = [tracks_table(metrics)]
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_json(out, metrics)
+        with written_whole(out) as partial:
+            write_json(partial, metrics)
         lines.append(f"written: {out}")
     return "\n".join(lines)
 
