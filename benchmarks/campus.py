@@ -122,9 +122,8 @@ def solved(observations, scorers, pairs):
     return mx.associate(observations, scorers, pairs=pairs).labels.numpy()
 
 
-def answers(chosen, still):
-    """(method, setting, labels) of all methods on one set of observations."""
-    observations = chosen.dataset.load()
+def answers(observations, chosen, still):
+    """(method, setting, labels) of all methods; ``still`` reads the same without velocities."""
     for gate in GATES:
         yield "nearest neighbour", gate, linked(observations, gate)
         yield "Hungarian", gate, linked(observations, gate, assigned)
@@ -151,7 +150,7 @@ def run(starts):
         observations = chosen.dataset.load()
         both = shared(observations)
         found += [{"start": start, **fact} for fact in facts(observations, both)]
-        for method, setting, labels in answers(chosen, still):
+        for method, setting, labels in answers(observations, chosen, still):
             for (part, keep), (reading, how) in product(parts(observations), READINGS.items()):
                 choice = {key: value for key, value in how.items() if key != "shared"}
                 chosen_rows = keep & both if "shared" in how else keep
