@@ -68,8 +68,7 @@ def track(
         classes: What to find, for the metrics, where the truth has classes; 1 is pedestrians.
         pixels: Whether the tracker sees images; if null, where every frame with detections has one.
         frame_rate: Frames per second where there is no seqinfo.ini to say it; 30 if null.
-        repair: Leave out lines of det.txt that are of no use, and say so; if false, they are
-            errors.
+        repair: Leave out useless lines of det.txt, and say so; if false, they are errors.
         format: Of the results: mot (txt, as MOTChallenge has it), coco (json), csv or parquet.
         video: Write SEQUENCE.mp4, too, where there are frames.
         device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
@@ -87,14 +86,7 @@ def track(
     truths, unreadable = _truths(jobs, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")
-    outcomes: dict[str, Outcome] = {}
-    try:
-        for job in jobs:
-            result = out / f"{job.name}{SUFFIX[format]}"
-            outcomes[job.name] = _track(job, tracker.to(place), place, result, progress)
-    except KeyboardInterrupt:
-        finished = ", ".join(outcomes) or "none"
-        raise KeyboardInterrupt(f"finished, and in {out}: {finished}") from None
+    outcomes = _track_all(jobs, tracker.to(place), place, out, SUFFIX[format], progress)
     metrics, missing = _measure(outcomes, truths)
     notes = [note for job in jobs for note in job.notes] + unreadable + missing
     notes += _latencies(outcomes)
@@ -195,6 +187,26 @@ def _truths(
         chosen = truth.tracks.select(job.dataset.chosen(truth.tracks.frame))
         truths[job.name] = truth, chosen
     return truths, notes
+
+
+def _track_all(
+    jobs: Sequence[Job],
+    tracker: BaseTracker,
+    place: torch.device,
+    out: Path,
+    suffix: str,
+    progress: Progress,
+) -> dict[str, Outcome]:
+    """Track one sequence after the other; who interrupts is told which are finished."""
+    outcomes: dict[str, Outcome] = {}
+    try:
+        for job in jobs:
+            result = out / f"{job.name}{suffix}"
+            outcomes[job.name] = _track(job, tracker, place, result, progress)
+    except KeyboardInterrupt:
+        finished = ", ".join(outcomes) or "none"
+        raise KeyboardInterrupt(f"finished, and in {out}: {finished}") from None
+    return outcomes
 
 
 def _track(

@@ -1,8 +1,10 @@
 """The command, as the tests of all commands run it."""
 
 import sys
+from pathlib import Path
 
 import pytest
+from track_inputs import OWN_TRACKER, write_config
 
 from mixer_torch.cli import main
 
@@ -24,3 +26,17 @@ def mixer(tmp_path, monkeypatch, capsys):
 
     yield run
     sys.modules.pop("own_scorers", None)
+
+
+@pytest.fixture
+def track(mixer, monkeypatch):
+    """Run `mixer track`: (exit code, standard output, standard error)."""
+    monkeypatch.delenv("MIXER_DATA", raising=False)
+    Path("own_tracker.py").write_text(OWN_TRACKER)
+    write_config("lanes.yaml")
+
+    def run(*argv, config="lanes.yaml"):
+        return mixer("track", *argv, *(["--config", config] if config else []))
+
+    yield run
+    sys.modules.pop("own_tracker", None)
