@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
@@ -17,11 +18,13 @@ from mixer_torch.affinity import Affinity
 from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics import evaluate
+from mixer_torch.observations import Observations
+from mixer_torch.pairs import Every
 from mixer_torch.retrieval_metrics import retrieval
 from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.threshold import AllPairs
 from scorers.calibrators import MonotoneSpline
-from scorers.embedding import EmbeddingNetwork, centred, embed, save_embedding
+from scorers.embedding import Embedding, EmbeddingNetwork, embed, save_embedding
 from scorers.fitted import save_calibrator
 from train.evaluation import write_json
 
@@ -30,6 +33,10 @@ WARM_UP = 0.05
 """Share of the epochs in which the learning rate rises."""
 PRIORS = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1)
 """What the prior of the fusion is chosen from, the most modest last."""
+CAP = 12.0
+"""Of the fusion, nats: the calibrator bounds itself by what it was fitted to."""
+EXCHANGES = tuple(permutations(range(3)))
+"""Ways to exchange red, green and blue, the first of them none."""
 CLOSE = 0.02
 """F1 that a more modest prior may cost."""
 
@@ -39,7 +46,8 @@ class EmbeddingTraining(LightningModule):
 
     The loss is the supervised contrastive one (Khosla et al. 2020) plus the cross entropy of
     telling the persons of training apart, by a linear classifier behind a batch normalisation
-    (Luo et al. 2019), with label smoothing.
+    (Luo et al. 2019), with label smoothing. Persons are few, so that more are made of them: one
+    whose colours are exchanged in all crops (red for green, say) is another person.
 
     The calibrator, and the prior of the fusion, are fitted to the pairs of validation, whose
     persons training has not seen: to persons that it has seen, a network is surer than it may be.
@@ -53,11 +61,14 @@ class EmbeddingTraining(LightningModule):
         learning_rate: Of AdamW; it rises, and then falls to 0 by a cosine over all epochs.
         temperature: Of the contrastive loss: lower looks harder at the nearest strangers.
         classification: Weight of the cross entropy.
-        centre: Whether vectors are taken from the mean of their camera's where they are compared.
+        recoloured: Share of the persons of a batch whose colours are exchanged.
+        centre: As :class:`~scorers.embedding.Embedding` takes it, for comparing vectors.
+        reciprocal: Likewise.
         seed: Of the weights at the start and of the augmentations.
 
     Raises:
-        ValueError: learning_rate or temperature is not positive, or classification is negative.
+        ValueError: learning_rate or temperature is not positive, classification is negative, or
+            recoloured not in [0, 1].
     """
 
     prior: Tensor
@@ -70,7 +81,9 @@ class EmbeddingTraining(LightningModule):
         learning_rate: float = 2e-3,
         temperature: float = 0.1,
         classification: float = 0.5,
+        recoloured: float = 0.5,
         centre: bool = True,
+        reciprocal: int = 16,
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -81,6 +94,8 @@ class EmbeddingTraining(LightningModule):
                 "learning_rate, temperature, classification: expected positive numbers, the last "
                 f"may be 0, got {learning_rate}, {temperature}, {classification}"
             )
+        if not 0 <= recoloured <= 1:
+            raise ValueError(f"recoloured: expected a share in [0, 1], got {recoloured}")
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = EmbeddingNetwork(dimension, width, strips)
@@ -90,62 +105,69 @@ class EmbeddingTraining(LightningModule):
         self.register_buffer("prior", torch.tensor(0.5, dtype=torch.float64))
         self.learning_rate = learning_rate
         self.classification = classification
-        self.centre = centre
+        self.recoloured = recoloured
+        self.comparison = {"centre": centre, "reciprocal": reciprocal}
+        self._scorer = [Embedding(**self.comparison)]
         self.seed = seed
         self._contrast = SupConLoss(temperature)
         self._augment = [augmentation()]
 
     def setup(self, stage: str) -> None:
-        """Make the classifier, whose size is the number of persons of training."""
+        """Make the classifier, whose size depends on the number of persons of training."""
         if self.classifier is None:
             count = len(self.trainer.datamodule.people)  # type: ignore[attr-defined]
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(self.seed)
-                self.classifier = nn.Linear(self.neck.num_features, count, bias=False)
+                classes = len(EXCHANGES) * count
+                self.classifier = nn.Linear(self.neck.num_features, classes, bias=False)
 
     def training_step(self, batch: Mapping[str, Tensor], batch_idx: int) -> Tensor:
+        people = self.trainer.datamodule.people  # type: ignore[attr-defined]
+        number = torch.searchsorted(people.to(self.device), batch["identity"])
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed((self.seed * 1_000 + self.current_epoch) * 10_000 + batch_idx)
-            images = self._augment[0](batch["images"])
+            images, number = exchange_colours(batch["images"], number, self.recoloured)
+            images = self._augment[0](images)
         vectors = self.network(images)
-        loss = self._contrast(vectors, batch["identity"])
+        loss = self._contrast(vectors, number)
         if self.classification and self.classifier is not None:
-            people = self.trainer.datamodule.people  # type: ignore[attr-defined]
-            number = torch.searchsorted(people.to(self.device), batch["identity"])
             logit = self.classifier(self.neck(vectors))
             entropy = cross_entropy(logit, number, label_smoothing=LABEL_SMOOTHING)
             loss = loss + self.classification * entropy
         self.log("train/loss", loss, on_step=False, on_epoch=True, batch_size=len(images))
         return loss
 
-    def _vectors(self, batch: Mapping[str, Tensor]) -> Float[Tensor, "m d"]:
-        """As the exported scorer describes the crops."""
+    def _compared(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Evidence (P,), truth (P,) and indices (2, P) of all pairs, as the exported scorer has."""
         vectors = embed(self.network, batch["images"], mirror=True, device=self.device)
-        return centred(vectors, batch["camera"]) if self.centre else vectors
+        view = torch.full_like(batch["identity"], -1)
+        features = {"embedding": vectors, "camera": batch["camera"]}
+        seen = Observations(view, features)
+        pairs = Every()(seen)
+        same = batch["identity"][pairs[0]] == batch["identity"][pairs[1]]
+        return self._scorer[0].evidence(seen, pairs), same, pairs
 
     def validation_step(self, batch: Mapping[str, Tensor], batch_idx: int) -> None:
-        vectors = self._vectors(batch)
-        found = retrieval(vectors @ vectors.T, batch["identity"], batch["camera"], ranks=(1,))
-        cosine, same, pairs = all_pairs(vectors, batch["identity"])
+        evidence, same, pairs = self._compared(batch)
+        found = ranked(evidence, pairs, batch)
         with torch.enable_grad():
-            self.calibrator.fit(cosine, same)
-        ratio = self.calibrator.log_ratio(cosine).detach()
-        self.prior.fill_(best_prior(gallery(ratio, pairs, len(vectors)), batch["identity"]))
+            self.calibrator.fit(evidence, same)
+        ratio = self.calibrator.log_ratio(evidence).detach()
+        affinity = gallery(ratio, pairs, len(batch["identity"]))
+        self.prior.fill_(best_prior(affinity, batch["identity"]))
         found |= {"cllr": calibration_metrics(ratio, same)["cllr"], "prior": float(self.prior)}
-        found.pop("queries")
-        self.log_dict({f"val/{key}": value for key, value in found.items()}, batch_size=1)
+        logged = {f"val/{key}": found[key] for key in ("rank1", "map", "cllr", "prior")}
+        self.log_dict(logged, batch_size=1)
 
     def test_step(self, batch: Mapping[str, Tensor], batch_idx: int) -> None:
         """Retrieval across cameras, and clusters with and without MIXER, into ``test/``."""
-        vectors = self._vectors(batch)
-        similarity = vectors @ vectors.T
-        found: dict[str, Any] = retrieval(similarity, batch["identity"], batch["camera"])
-        cosine, same, pairs = all_pairs(vectors, batch["identity"])
-        ratio = self.calibrator.log_ratio(cosine).detach()
+        evidence, same, pairs = self._compared(batch)
+        found: dict[str, Any] = ranked(evidence, pairs, batch)
+        ratio = self.calibrator.log_ratio(evidence).detach()
         found["calibration"] = calibration_metrics(ratio, same)
-        affinity = gallery(ratio, pairs, len(vectors))
+        affinity = gallery(ratio, pairs, len(batch["identity"]))
         for name, solver, fusion in (
-            ("mixer", None, LogOddsFusion(prior=float(self.prior))),
+            ("mixer", None, self.fusion()),
             ("threshold", AllPairs(), None),
         ):
             association = solve(affinity, solver, fusion)
@@ -156,6 +178,10 @@ class EmbeddingTraining(LightningModule):
         write_json(folder / "metrics.json", found)
         self.log_dict({f"test/{key}": found[key] for key in ("rank1", "map")}, batch_size=1)
         self.log("test/f1", found["mixer"]["f1"], batch_size=1)
+
+    def fusion(self) -> LogOddsFusion:
+        """What was learned of the fusion."""
+        return LogOddsFusion(cap=CAP, prior=round(float(self.prior), 6))
 
     def configure_optimizers(self) -> Any:
         parameters = [*self.network.parameters()]
@@ -179,14 +205,15 @@ class EmbeddingTraining(LightningModule):
         network, calibrator = (folder / f"{n}.safetensors" for n in ("embedding", "calibrator"))
         height, width = self.trainer.datamodule.size  # type: ignore[attr-defined]
         arguments: dict[str, Any] = {"path": str(network), "height": height, "width": width}
-        arguments |= {"mirror": True, "centre": self.centre}
+        arguments |= {"mirror": True, **self.comparison}
         scorer = {"class_path": "scorers.embedding.Embedding", "init_args": arguments}
         save_embedding(network, self.network)
         save_calibrator(calibrator, self.calibrator, scorer)
         fitted = {"class_path": "scorers.fitted.Fitted", "init_args": {"path": str(calibrator)}}
         block = {**scorer, "init_args": {**arguments, "calibrator": fitted}}
-        prior = {"prior": float(self.prior)}
-        fusion = {"class_path": "mixer_torch.LogOddsFusion", "init_args": prior}
+        learned = self.fusion()
+        settings = {"cap": learned.cap, "prior": learned.prior}
+        fusion = {"class_path": "mixer_torch.LogOddsFusion", "init_args": settings}
         listing = folder / "scorers.yaml"
         text = yaml.safe_dump({"scorers": [block], "fusion": fusion}, sort_keys=False)
         listing.write_text(text, encoding="utf-8")
@@ -209,6 +236,31 @@ def augmentation() -> nn.Module:
     )
 
 
+def exchange_colours(
+    images: Float[Tensor, "B 3 height width"], number: Int64[Tensor, " B"], share: float
+) -> tuple[Float[Tensor, "B 3 height width"], Int64[Tensor, " B"]]:
+    """Exchange the colours of a share of the persons, each in all of its crops in one way.
+
+    The k-th of :data:`EXCHANGES` makes person n the person 6 n + k.
+    """
+    people, place = torch.unique(number, return_inverse=True)
+    kind = torch.randint(1, len(EXCHANGES), people.shape)
+    kind = torch.where(torch.rand(people.shape) < share, kind, 0).to(number.device)[place]
+    order = torch.tensor(EXCHANGES, device=number.device)[kind]
+    exchanged = images.gather(1, order[:, :, None, None].expand_as(images))
+    return exchanged, len(EXCHANGES) * number + kind
+
+
+def ranked(
+    evidence: Float[Tensor, " P"], pairs: Int64[Tensor, "2 P"], batch: Mapping[str, Tensor]
+) -> dict[str, Any]:
+    """Retrieval across cameras by the evidence of all pairs."""
+    count = len(batch["identity"])
+    similarity = evidence.new_zeros(count, count)
+    similarity[pairs[0], pairs[1]] = similarity[pairs[1], pairs[0]] = evidence
+    return dict(retrieval(similarity, batch["identity"], batch["camera"]))
+
+
 def gallery(ratio: Float[Tensor, " P"], pairs: Int64[Tensor, "2 P"], count: int) -> Affinity:
     """Crops any two of which may show one person, with log likelihood ratios of all pairs."""
     view = torch.full((count,), -1, device=ratio.device)
@@ -219,17 +271,7 @@ def best_prior(affinity: Affinity, identity: Int64[Tensor, " m"]) -> float:
     """The prior whose clusters have the best F1; a more modest one where that is close."""
     found = {}
     for prior in PRIORS:
-        association = solve(affinity, None, LogOddsFusion(prior=prior))
+        association = solve(affinity, None, LogOddsFusion(cap=CAP, prior=prior))
         found[prior] = evaluate(association, identity, affinity.view)["f1"]
     best = max(found.values())
     return min(prior for prior, f1 in found.items() if f1 >= best - CLOSE)
-
-
-def all_pairs(
-    vectors: Float[Tensor, "m d"], identity: Int64[Tensor, " m"]
-) -> tuple[Float[Tensor, " P"], Bool[Tensor, " P"], Int64[Tensor, "2 P"]]:
-    """Cosine, truth, and indices of all pairs."""
-    m = len(vectors)
-    pairs = torch.triu_indices(m, m, offset=1, device=vectors.device)
-    cosine = (vectors[pairs[0]] * vectors[pairs[1]]).sum(1)
-    return cosine, identity[pairs[0]] == identity[pairs[1]], pairs

@@ -14,7 +14,15 @@ from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics import evaluate
 from mixer_torch.solvers.base import solve
 from train.cli import main as mixer_train
-from train.embedding import PRIORS, all_pairs, augmentation, best_prior, gallery
+from train.embedding import (
+    EXCHANGES,
+    PRIORS,
+    augmentation,
+    best_prior,
+    exchange_colours,
+    gallery,
+    ranked,
+)
 
 pytestmark = pytest.mark.filterwarnings("default")
 
@@ -43,7 +51,7 @@ def config(people, tmp_path):
         "out": str(tmp_path / "run"),
         "model": {
             "class_path": "train.embedding.EmbeddingTraining",
-            "init_args": {"dimension": 16, "width": 4, "strips": 4},
+            "init_args": {"dimension": 16, "width": 4, "strips": 4, "reciprocal": 4},
         },
         "data": {"class_path": "train.crops.CropData", "init_args": {"dataset": people, **sizes}},
         "checkpoint": {"monitor": "val/map", "mode": "max"},
@@ -102,12 +110,28 @@ def test_the_prior_is_the_one_of_the_best_clusters():
     assert evaluate(found, identity, affinity.view)["f1"] == 1
 
 
-def test_pairs_of_vectors():
-    vectors = torch.eye(3)[[0, 0, 1]]
-    cosine, same, pairs = all_pairs(vectors, torch.tensor([4, 4, 5]))
-    assert cosine.tolist() == [1, 0, 0]
-    assert same.tolist() == [True, False, False]
-    assert pairs.tolist() == [[0, 0, 1], [1, 2, 2]]
+def test_exchanged_colours_make_other_persons():
+    crops = torch.rand(12, 3, 4, 2, generator=torch.Generator().manual_seed(0))
+    number = torch.tensor([3, 3, 0, 5, 5, 5, 3, 0, 7, 7, 7, 7])
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(2)
+        exchanged, label = exchange_colours(crops, number, 0.6)
+        same, plain = exchange_colours(crops, number, 0.0)
+    assert torch.equal(same, crops)
+    assert torch.equal(plain, 6 * number)
+    assert torch.equal(label // 6, number)
+    assert len(torch.unique(label)) == 4  # each person in one way
+    assert 0 < int((label % 6 > 0).sum()) < 12
+    for crop, found, kind in zip(crops, exchanged, label % 6, strict=True):
+        assert torch.equal(found, crop[list(EXCHANGES[int(kind)])])
+
+
+def test_ranked_by_the_evidence_of_pairs():
+    batch = {"identity": torch.tensor([1, 1, 2, 2]), "camera": torch.tensor([0, 1, 0, 1])}
+    pairs = torch.triu_indices(4, 4, offset=1)
+    same = batch["identity"][pairs[0]] == batch["identity"][pairs[1]]
+    assert ranked(same.float(), pairs, batch)["map"] == 1
+    assert ranked(-same.float(), pairs, batch)["map"] == 0.5
 
 
 def test_augmented_crops_are_crops_and_of_the_seed_alone():
