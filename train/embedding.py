@@ -106,7 +106,7 @@ class EmbeddingTraining(LightningModule):
         self.learning_rate = learning_rate
         self.classification = classification
         self.recoloured = recoloured
-        self.comparison = {"centre": centre, "reciprocal": reciprocal}
+        self.comparison: dict[str, Any] = {"centre": centre, "reciprocal": reciprocal}
         self._scorer = [Embedding(**self.comparison)]
         self.seed = seed
         self._contrast = SupConLoss(temperature)
