@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from safetensors.torch import load_file
 
 from mixer_torch.cli import main as mixer
 from mixer_torch.fusion import LogOddsFusion
@@ -82,6 +83,32 @@ def test_fit_test_and_associate_by_yaml_alone(config, people, tmp_path):
     assert found["map"] == pytest.approx(metrics["map"], abs=0.1)
     fusion = yaml.safe_load(export.read_text())["fusion"]["init_args"]
     assert fusion["prior"] in PRIORS
+
+
+BREAKER = """
+from lightning.pytorch.callbacks import Callback
+
+class Breaker(Callback):
+    def on_train_batch_end(self, trainer, module, outputs, batch, batch_idx):
+        if trainer.current_epoch == 2:
+            raise ValueError("power cut")
+"""
+
+
+def test_interrupted_it_goes_on_to_the_same_weights(config, tmp_path, monkeypatch, capsys):
+    (tmp_path / "breaker.py").write_text(BREAKER)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    fit = ["fit", "--config", str(config), "--trainer.max_epochs", "4", "--out"]
+    assert mixer_train([*fit, str(whole)]) == 0
+    assert mixer_train([*fit, str(broken), "--trainer.callbacks+=breaker.Breaker"]) == 2
+    assert "power cut" in capsys.readouterr().err
+    assert not (broken / "export").exists()
+    assert mixer_train([*fit, str(broken), "--ckpt_path", "last"]) == 0
+    for name in ("embedding", "calibrator"):
+        one, other = (load_file(d / "export" / f"{name}.safetensors") for d in (whole, broken))
+        for key, value in one.items():
+            torch.testing.assert_close(other[key], value, rtol=0, atol=0)
 
 
 def test_mistakes_are_named(config, capsys):
