@@ -59,6 +59,8 @@ class TrainCLI(LightningCLI):
         config = self.config[self.subcommand]
         if config.weights_only is None:
             config.weights_only = True
+        if config.ckpt_path is not None:  # going on in a folder, which is then not empty
+            warnings.filterwarnings("ignore", message="Checkpoint directory .* is not empty")
         if self.subcommand in ("validate", "test") and config.ckpt_path is None:
             best = Path(config.out) / "checkpoints" / "best.ckpt"
             if not best.is_file():

@@ -7,7 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Int64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from mixer_torch.affinity import Affinity
@@ -89,14 +93,26 @@ def ratios_by_modality(
 def solved(
     table: PairTable, scores: Tensor, names: Sequence[str], fusion: Fusion | None
 ) -> dict[str, float]:
-    """Precision, recall and F1 of the solved problem, over the observations that are in pairs."""
-    present = torch.zeros(len(table.observations), dtype=torch.bool)
-    present[table.pairs.flatten()] = True
-    place = present.cumsum(0) - 1
-    view = table.observations.view[present]
-    affinity = Affinity(place[table.pairs], scores, view, tuple(names))
-    metrics = evaluate(solve(affinity, None, fusion), table.observations["identity"][present], view)
+    """Precision, recall and F1 of the solved problem, over the observations that are in pairs.
+
+    Where the pairs fall into parts that no pair links (the frames 1, 21, 41, ... and 2, 22, 42, ...
+    of a video at :class:`~train.selectors.AtGaps` of 20), each part is a problem by itself: that
+    an object is not joined across parts is no error.
+    """
+    place, part = torch.unique(table.pairs, return_inverse=True)
+    view, identity = (x[place] for x in (table.observations.view, table.observations["identity"]))
+    affinity = Affinity(part, scores, view, tuple(names))
+    whole = parts_of(part, len(place)) * (int(identity.max()) + 1 if len(identity) else 1)
+    told_apart = torch.where(identity >= 0, identity + whole, identity)
+    metrics = evaluate(solve(affinity, None, fusion), told_apart, view)
     return {key: metrics[key] for key in ("precision", "recall", "f1")}
+
+
+def parts_of(pairs: Int64[Tensor, "2 P"], count: int) -> Int64[Tensor, " m"]:
+    """The number of the connected part of the graph of pairs that each observation is in."""
+    ones = np.ones(pairs.shape[1], dtype=np.int8)
+    graph = coo_array((ones, tuple(pairs.cpu().numpy())), shape=(count, count))
+    return torch.from_numpy(connected_components(graph, directed=False)[1]).long()
 
 
 def summary(results: Mapping[str, Any]) -> str:
