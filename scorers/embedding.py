@@ -113,11 +113,11 @@ class Embedding(Scorer):
         self.height, self.width = height, width
         self.mirror, self.centre = mirror, centre
         self.feature = feature
-        self.needs = ("images" if path else feature, *(["camera"] if centre else []))
+        self.needs = (feature if path is None else "images", *(["camera"] if centre else []))
         self.network = None if path is None else load_embedder(Path(path))
 
-    def describe(self, observations: Observations) -> tuple[Tensor, ...]:
-        """(m, d) unit vectors, NaN where there is none; and their encodings if there are any."""
+    def describe(self, observations: Observations) -> Tensor | tuple[Tensor, Tensor]:
+        """(m, d) unit vectors, NaN where there is none; with the sets of neighbours, if wanted."""
         if self.network is None:
             value = observations[self.feature].flatten(1)
             value = value if value.is_floating_point() else value.float()
@@ -127,15 +127,15 @@ class Embedding(Scorer):
             vectors = embed(self.network, crops, self.mirror, observations.device)
         vectors = centred(vectors, observations["camera"]) if self.centre else vectors
         if not self.reciprocal:
-            return (vectors,)
+            return vectors
         return vectors, reciprocal_encoding(vectors, self.reciprocal)
 
-    def compare(self, description: tuple[Tensor, ...], pairs: Tensor) -> Tensor:
-        vectors, *encoding = description
+    def compare(self, description: Tensor | tuple[Tensor, Tensor], pairs: Tensor) -> Tensor:
+        if isinstance(description, Tensor):
+            return (description[pairs[0]] * description[pairs[1]]).sum(1)
+        vectors, encoding = description
         cosine = (vectors[pairs[0]] * vectors[pairs[1]]).sum(1)
-        if not encoding:
-            return cosine
-        return COSINE * cosine + (1 - COSINE) * jaccard(encoding[0], pairs)
+        return COSINE * cosine + (1 - COSINE) * jaccard(encoding, pairs)
 
 
 def embed(

@@ -39,7 +39,7 @@ def test_network_from_its_file(seen, tmp_path):
     network = EmbeddingNetwork(dimension=16, width=4, strips=2).eval()
     save_embedding(tmp_path / "net.safetensors", network)
     scorer = Embedding(tmp_path / "net.safetensors", height=64, width=32)
-    vectors = scorer.describe(seen)[0]
+    vectors = scorer.describe(seen)
     expected = network(crops_of(seen.images, (64, 32)))
     torch.testing.assert_close(vectors, expected.detach(), rtol=1e-5, atol=1e-6)
     torch.testing.assert_close(vectors.norm(dim=1), torch.ones(4))
@@ -54,7 +54,7 @@ def test_mirrored_crops_have_the_same_vector(seen, tmp_path):
     mirrored = Observations(seen.view, {}, Images(flipped, np.arange(4)))
     for mirror in (False, True):
         scorer = Embedding(tmp_path / "net.safetensors", height=60, width=40, mirror=mirror)
-        alike = torch.allclose(*(scorer.describe(each)[0] for each in (seen, mirrored)), atol=1e-5)
+        alike = torch.allclose(*(scorer.describe(each) for each in (seen, mirrored)), atol=1e-5)
         assert alike == mirror
 
 
@@ -65,7 +65,7 @@ def test_centred_vectors_have_lost_what_their_camera_adds():
     light = torch.tensor([[4.0, 0, 0, 0, 0, 0], [0, -3.0, 0, 0, 0, 0]])[camera - 3]
     vectors = torch.cat([own, own]) + light
     seen = Observations(torch.full((400,), -1), {"embedding": vectors, "camera": camera})
-    plain, centre = (Embedding(centre=value).describe(seen)[0] for value in (False, True))
+    plain, centre = (Embedding(centre=value).describe(seen) for value in (False, True))
     same = [float((found[:200] * found[200:]).sum(1).mean()) for found in (plain, centre)]
     assert same[0] < 0.3
     assert same[1] > 0.6
@@ -92,7 +92,7 @@ class Mean(torch.nn.Module):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 def test_network_of_ones_own_as_torchscript(seen, tmp_path):
     torch.jit.trace(Mean(), torch.zeros(1, 3, 8, 8)).save(tmp_path / "mean.pt")
-    vectors = Embedding(tmp_path / "mean.pt", height=8, width=8).describe(seen)[0]
+    vectors = Embedding(tmp_path / "mean.pt", height=8, width=8).describe(seen)
     expected = crops_of(seen.images, (8, 8)).mean((2, 3))
     torch.testing.assert_close(vectors, torch.nn.functional.normalize(expected, dim=1))
 
@@ -130,7 +130,7 @@ def test_network_of_ones_own_as_onnx(seen, tmp_path):
     scorer = Embedding(tmp_path / "mean.onnx", height=8, width=8)
     crops = crops_of(seen.images, (8, 8))
     expected = torch.nn.functional.normalize(crops.mean((2, 3)), dim=1)
-    torch.testing.assert_close(scorer.describe(seen)[0], expected)
+    torch.testing.assert_close(scorer.describe(seen), expected)
     # Batches of other sizes, and more than one of them.
     many = torch.rand(BATCH + 3, 3, 8, 8, generator=torch.Generator().manual_seed(0))
     expected = torch.nn.functional.normalize(many.mean((2, 3)), dim=1)
@@ -146,10 +146,10 @@ def refuse(path):
 def test_onnxruntime_reads_what_opencv_does_not(seen, tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
     (tmp_path / "mean.onnx").write_bytes(onnx_mean())
-    expected = Embedding(tmp_path / "mean.onnx", height=8, width=8).describe(seen)[0]
+    expected = Embedding(tmp_path / "mean.onnx", height=8, width=8).describe(seen)
     monkeypatch.setattr("cv2.dnn.readNetFromONNX", refuse)
     scorer = Embedding(tmp_path / "mean.onnx", height=8, width=8)
-    torch.testing.assert_close(scorer.describe(seen)[0], expected)
+    torch.testing.assert_close(scorer.describe(seen), expected)
     (tmp_path / "odd.onnx").write_bytes(onnx_mean("NoSuchOperator"))
     with pytest.raises(ValueError, match=r"odd\.onnx is not a readable ONNX file"):
         Embedding(tmp_path / "odd.onnx")
