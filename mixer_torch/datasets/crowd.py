@@ -35,7 +35,8 @@ class Crowd(Dataset):
     falls with it; clutter is of the size that people have at its place.
 
     Each frame is one view. Features: ``frame``, from 1; ``time``, (frame - 1) / frame_rate;
-    ``camera``, 0; ``box``; ``confidence``, 0.3 to 1; ``identity``, from 1, -1 for clutter.
+    ``camera``, 0; ``box``; ``confidence``, 0.5 to 1, spread like that
+    of Faster R-CNN on MOT15; ``identity``, from 1, -1 for clutter.
 
     Args:
         num_people: On the ground in each frame.
@@ -90,15 +91,15 @@ class Crowd(Dataset):
                 row = self._detect(row, people.depth, seeing)
             rows.append(np.column_stack([np.full(len(row), frame), row]))
             people = _walk_on(people, 1 / self.frame_rate, walking)
-        frame, box, confidence, identity = np.split(np.concatenate(rows), [1, 5, 6], axis=1)
-        number = torch.from_numpy(frame[:, 0].astype(np.int64))
+        table = np.concatenate(rows)
+        number = torch.from_numpy(table[:, 0].astype(np.int64))
         features = {
             "frame": number,
             "time": (number - 1).double() / self.frame_rate,
             "camera": torch.zeros_like(number),
-            "box": torch.from_numpy(box.astype(np.float32)),
-            "confidence": torch.from_numpy(confidence[:, 0].astype(np.float32)),
-            "identity": torch.from_numpy(identity[:, 0].astype(np.int64)),
+            "box": torch.from_numpy(table[:, 1:5].astype(np.float32)),
+            "confidence": torch.from_numpy(table[:, 5].astype(np.float32)),
+            "identity": torch.from_numpy(table[:, 6].astype(np.int64)),
         }
         return Observations(number, features)
 
@@ -112,10 +113,10 @@ class Crowd(Dataset):
         shown = visible_share(truth[:, :4], depth)
         odds = ((shown - HIDDEN) / (PLAIN - HIDDEN)).clip(0, 1) * (1 - self.miss_rate)
         found = truth.copy()
-        found[:, 4] = 0.3 + 0.7 * generator.beta(6, 1 + 4 * (1 - shown))
+        found[:, 4] = 0.5 + 0.5 * generator.beta(12, 1 + 8 * (1 - shown))
         found = found[generator.random(len(truth)) < odds]
         strange = _people_anywhere(int(generator.poisson(self.clutter)), generator)
-        doubtful = 0.3 + 0.7 * generator.beta(1.5, 3, len(strange.depth))
+        doubtful = 0.5 + 0.5 * generator.beta(2, 1.5, len(strange.depth))
         clutter = np.column_stack([_boxes(strange), doubtful, np.full(len(doubtful), -1.0)])
         rows = generator.permutation(np.concatenate([found, clutter]))
         size = rows[:, 2:4] - rows[:, :2]

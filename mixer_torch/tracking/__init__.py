@@ -1,6 +1,7 @@
 """Tracking as association: the same three nouns, applied to frames and then to tracklets."""
 
+from mixer_torch.tracking.online import OnlineTracker
 from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracking.tracks import Tracks
 
-__all__ = ["Tracker", "Tracks"]
+__all__ = ["OnlineTracker", "Tracker", "Tracks"]

@@ -7,12 +7,13 @@ import math
 import time
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.association import Association, Status, by_first_appearance
-from mixer_torch.observations import Observations
+from mixer_torch.observations import Images, Observations
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.tracker import Tracker
@@ -49,6 +50,9 @@ class OnlineTracker(BaseTracker):
     A cluster that holds settled observations has their label. Any other one has the label that
     most of its observations were last said to have, if no other cluster has more of these, and a
     new one if there is none. :meth:`finish` is that of the offline tracker.
+
+    Where a scorer reads pixels, the frames of the bounded set are held in memory, and what is in
+    them is described anew with each frame.
 
     Args:
         tracker: How boxes and tracklets are compared and clustered, and how tracks end.
@@ -102,6 +106,8 @@ class OnlineTracker(BaseTracker):
             KeyError: There is no feature ``time`` or ``box``.
             ValueError: Observations are not later than those that came before.
         """
+        if not self._reads_pixels():
+            observations = replace(observations, images=None)
         stretch = self._stretch or Stretch.empty(observations)
         moments = _moments(observations, stretch)
         number = stretch.came + torch.arange(len(observations), device=observations.device)
@@ -153,6 +159,10 @@ class OnlineTracker(BaseTracker):
         self.tracker.to(device)
         return self
 
+    def _reads_pixels(self) -> bool:
+        scorers = [*self.tracker.scorers, *self.tracker.tracklet_scorers]
+        return any("images" in scorer.needs for scorer in scorers)
+
     def _solved(self, stretch: Stretch) -> Stretch:
         """The stretch with labels that fit all of it best."""
         seen, said = stretch.observations, stretch.label
@@ -163,7 +173,10 @@ class OnlineTracker(BaseTracker):
         fresh = said.max().clamp(min=-1) + 1 + torch.arange(len(seen), device=said.device)
         label = by_first_appearance(torch.where(said >= 0, said, fresh))
         for _ in range(self.passes):
-            label = self.tracker.link(distinct, label, pairs, must_link).labels
+            linked = self.tracker.link(distinct, label, pairs, must_link).labels
+            if linked is None:
+                raise ValueError("tracker.solver: expected one that always gives labels")
+            label = linked
         for gap in self.tracker.gaps:
             label = self.tracker.join(seen, label, gap, _largest(known, label) >= 0)
         name, following = _names(label, known, said, stretch.next)
@@ -209,8 +222,7 @@ class Stretch:
     def empty(cls, like: Observations) -> Stretch:
         """Of nothing yet, with the features and on the device of some observations."""
         none = like.view.new_zeros(0)
-        seen = replace(like.select(none), images=None)
-        return cls(seen, none, none, none.bool(), 0, 0, -math.inf)
+        return cls(like.select(none), none, none, none.bool(), 0, 0, -math.inf)
 
     def extended(self, new: Observations, number: Int64[Tensor, " k"]) -> Stretch:
         """With the observations of another frame."""
@@ -223,7 +235,8 @@ class Stretch:
             name: torch.cat([value, new[name]])
             for name, value in self.observations.features.items()
         }
-        seen = Observations(torch.cat([self.observations.view, new.view]), features)
+        images = _held(self.observations.images, new.images)
+        seen = Observations(torch.cat([self.observations.view, new.view]), features, images)
         return replace(
             self,
             observations=seen,
@@ -246,6 +259,20 @@ class Stretch:
     def said(self, mask: Bool[Tensor, " n"]) -> Int64[Tensor, "3 k"]:
         """Number, label and whether it is settled, of some of the observations."""
         return torch.stack([self.number, self.label, self.settled.long()])[:, mask]
+
+
+def _held(before: Images | None, new: Images | None) -> Images | None:
+    """The pixels of both, in memory: each frame that is of use, once."""
+    if before is None or new is None:
+        return None
+    frames: list[np.ndarray] = []
+    place = []
+    for images in (before, new):
+        used, index = np.unique(images.frame_index, return_inverse=True)
+        place.append(index + len(frames))
+        frames += [images.frames[k] for k in used]
+    boxes = [images.box for images in (before, new) if images.box is not None]
+    return Images(frames, np.concatenate(place), np.concatenate(boxes) if boxes else None)
 
 
 def _moments(observations: Observations, stretch: Stretch) -> Float[Tensor, " f"]:

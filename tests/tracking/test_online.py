@@ -2,14 +2,18 @@
 
 import copy
 import math
+from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from mixer_torch.datasets import Crowd
-from mixer_torch.observations import Observations
+from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Reachable
+from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.local_search import LocalSearch
 from mixer_torch.tracking import Tracker, Tracks
 from mixer_torch.tracking.online import OnlineTracker
@@ -241,3 +245,48 @@ def test_inputs_are_not_written_to():
 def test_bad_arguments(arguments, message):
     with pytest.raises(ValueError, match=message):
         online(**arguments)
+
+
+class Grey(Scorer):
+    """Same grey, same object; says which crops it has seen."""
+
+    needs = ("images",)
+
+    def describe(self, observations):
+        crops = [(i, crop) for i, crop in observations.images.crops()]
+        return torch.tensor([float(crop.mean()) for _, crop in sorted(crops, key=first)])
+
+    def compare(self, description, pairs):
+        return torch.where((description[pairs[0]] - description[pairs[1]]).abs() < 5, 0.9, 0.1)
+
+
+def first(pair):
+    return pair[0]
+
+
+def test_pixels_are_read_once_and_held_while_they_are_of_use():
+    # Two that stand on one spot in turn, and differ in grey alone.
+    frames = [np.full((8, 8, 3), 40 if k % 2 else 200, np.uint8) for k in range(12)]
+    t = np.arange(12) / 10
+    seen = observed(t, np.tile([0.0, 0.0, 8.0, 8.0], (12, 1)))
+    tracker = online(window=0.2, recall=0.3, memory=3)
+    tracker.tracker.scorers = [Grey()]
+    tracker.tracker.gaps = ()
+    label = {}
+    for k in range(12):
+        images = Images([frames[k]], np.zeros(1, int), np.array([[0.0, 0.0, 8.0, 8.0]]))
+        update = tracker.update(replace(seen.select(seen["frame"] == k + 1), images=images))
+        label |= dict(zip(update.observation.tolist(), update.label.tolist(), strict=True))
+    assert [label[k] for k in range(12)] == [0, 1] * 6
+    assert len(tracker._stretch.observations.images.frames) <= 8
+
+
+def test_configurations_differ_in_the_solver_alone():
+    read = [
+        yaml.safe_load((resources.files("mixer_torch.configs") / name).read_text())["tracker"]
+        for name in ("mot.yaml", "mot_online.yaml")
+    ]
+    inner = read[1]["init_args"]["tracker"]
+    assert inner["init_args"].pop("solver")["class_path"].endswith("LocalSearch")
+    read[0]["init_args"].pop("solver", None)
+    assert inner == read[0]
