@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mixer_torch.tracking.kalman import filter_each
+
 AXES = 3  # horizontal, vertical, and logarithm of the height
 
 
@@ -203,7 +205,7 @@ def filtered(
     """Where each observation is and how fast it moves, judged by those before it in its cluster.
 
     A Kalman filter of the motion model over the last ``memory`` observations of the same label and
-    the observation itself, all observations side by side, so that the time is linear in m. Nothing
+    the observation itself (:func:`~mixer_torch.tracking.kalman.filter_each`). Nothing
     is known of the velocity before the first: its variance is large.
 
     Args:
@@ -220,34 +222,9 @@ def filtered(
     unit = axis_scale(height)
     speed, jolt = ((unit * torch.as_tensor(x).to(unit)).square() for x in (model.speed, model.jolt))
     error = measured(height, model, resolution)
-    flat = 1e4 * speed
-    state = State(
-        torch.stack([position, torch.zeros_like(position)], -1),
-        torch.stack([error, torch.zeros_like(error), flat], -1),
-    )
-    moment_of = time.clone()
-    started = torch.zeros_like(label, dtype=torch.bool)
-    for step in [*range(memory - 1, -1, -1), -1]:
-        index = torch.arange(len(label), device=label.device) if step < 0 else before[:, step]
-        there = index >= 0
-        if not bool(there.any()):
-            continue
-        index = index.clamp(min=0)
-        moved = state.moved(time[index] - moment_of, jolt)
-        seen = moved.seen(position[index], error[index])
-        fresh = State(
-            torch.stack([position[index], torch.zeros_like(position)], -1),
-            torch.stack([error[index], torch.zeros_like(error), flat], -1),
-        )
-        use = (there & started)[:, None, None]
-        begin = (there & ~started)[:, None, None]
-        state = State(
-            torch.where(use, seen.mean, torch.where(begin, fresh.mean, state.mean)),
-            torch.where(use, seen.spread, torch.where(begin, fresh.spread, state.spread)),
-        )
-        moment_of = torch.where(there, time[index], moment_of)
-        started = started | there
-    return state
+    arrays = (before, position, error, time, jolt, 1e4 * speed)
+    found = filter_each(*(value.detach().cpu().numpy() for value in arrays))
+    return State.unpacked(torch.from_numpy(found).to(position.device))
 
 
 def log_ratio(
