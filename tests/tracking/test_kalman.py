@@ -1,5 +1,7 @@
 """The compiled filter against the matrices of the textbook."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ def by_matrices(indices, position, variance, time, q, flat):
     """One axis, one observation: predict and update with 2 x 2 matrices."""
     first = indices[0]
     mean, spread = np.array([position[first], 0.0]), np.diag([variance[first], flat])
-    for before, now in zip(indices[:-1], indices[1:], strict=True):
+    for before, now in pairwise(indices):
         dt = time[now] - time[before]
         move = np.array([[1, dt], [0, 1]])
         far = abs(dt)
