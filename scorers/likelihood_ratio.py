@@ -193,12 +193,13 @@ class LikelihoodRatio(Calibrator):
                 when the shrinkage is chosen. Each pair for itself if None.
 
         Raises:
-            ValueError: Lengths differ, or one of the two kinds of pairs is missing.
+            ValueError: Lengths differ, one of the two kinds of pairs is missing, or no group can
+                be held out.
         """
         x, y, c = self._training_pairs(evidence, same, covariates)
         group = torch.arange(len(x)) if groups is None else _finite(groups, evidence)
         held_out = torch.zeros_like(x)
-        fold = _folds(group.to(x.device), y)
+        fold, used = _folds(group.to(x.device), y), 0
         for number in range(FOLDS):
             inside = fold == number
             rest = y[~inside]
@@ -206,6 +207,12 @@ class LikelihoodRatio(Calibrator):
                 continue
             other = copy.deepcopy(self)._fit_all(x[~inside], rest, c[~inside])
             held_out[inside] = other.log_ratio(x[inside], c[inside]).detach()
+            used += 1
+        if groups is not None and not used:
+            raise ValueError(
+                "groups: expected two or more such that pairs of both kinds are left when one is "
+                "held out; without groups, each pair is held out for itself"
+            )
         self._fit_all(x, y, c)
         self._shrink(held_out, y, c)
         return self

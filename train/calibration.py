@@ -106,6 +106,7 @@ class CalibratorTraining(LightningModule):
             on_step=False,
             on_epoch=True,
             batch_size=len(batch["same"]),
+            sync_dist=True,
         )
         return torch.stack(list(losses.values())).sum()
 
@@ -121,10 +122,11 @@ class CalibratorTraining(LightningModule):
             self.log_dict(
                 {f"val/{key}/{name}": found[key] for key in ("cllr", "min_cllr", "ece")},
                 batch_size=1,
+                sync_dist=True,
             )
         if not costs:
             raise ValueError("validate: expected a modality with pairs of both kinds, found none")
-        self.log("val/cllr", sum(costs) / len(costs), batch_size=1)
+        self.log("val/cllr", sum(costs) / len(costs), batch_size=1, sync_dist=True)
 
     def test_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
         """All is measured at the end, sequence by sequence."""

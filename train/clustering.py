@@ -25,7 +25,9 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
+from mixer_torch import datasets
 from mixer_torch.fusion import LogOddsFusion
+from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
 from mixer_torch.solvers.relaxation import distinctness_matrix, project_to_simplex
 from scorers.fitted import log_ratio_of
@@ -149,10 +151,10 @@ class WindowData(PairData):
 
     def __init__(
         self,
-        scorers: list[Any],
-        train: list[Any],
-        validate: list[Any] | None = None,
-        test: list[Any] | None = None,
+        scorers: list[Scorer],
+        train: list[datasets.Dataset],
+        validate: list[datasets.Dataset] | None = None,
+        test: list[datasets.Dataset] | None = None,
         views: int = 30,
         stride: int = 10,
         seed: int = 0,
@@ -207,7 +209,7 @@ class AssociationTraining(PairTraining):
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         data: WindowData = self._data()  # type: ignore[assignment]
         loss = self.loss_of(data.windows[int(batch)])
-        self.log("train/loss", loss, on_step=False, on_epoch=True, batch_size=1)
+        self.log("train/loss", loss, on_step=False, on_epoch=True, batch_size=1, sync_dist=True)
         return loss
 
     def loss_of(self, table: PairTable) -> Tensor:
@@ -230,4 +232,4 @@ class AssociationTraining(PairTraining):
             solved(table, self.scores(table), ("fused",), LogOddsFusion(cap=SURE))["f1"]
             for table in self._data().tables("validate")
         ]
-        self.log("val/f1", sum(found) / len(found), batch_size=1)
+        self.log("val/f1", sum(found) / len(found), batch_size=1, sync_dist=True)

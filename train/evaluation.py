@@ -78,9 +78,7 @@ def ratios_by_modality(
     found = {}
     for k, name in enumerate(names):
         known = [
-            table.evidence[k].isfinite()
-            if len(names) == len(table.evidence)
-            else torch.ones_like(table.same)
+            table.says[k] if len(names) == len(table.evidence) else torch.ones_like(table.same)
             for table in tables
         ]
         score = torch.cat([s[k][kept] for s, kept in zip(scored, known, strict=True)])

@@ -89,12 +89,16 @@ class PairTraining(LightningModule):
     def training_step(self, batch: Mapping[str, Any], batch_idx: int) -> Tensor:
         logit = self._of(batch) + self.prior
         loss = binary_cross_entropy_with_logits(logit, batch["same"].to(logit))
-        self.log("train/loss", loss, on_step=False, on_epoch=True, batch_size=len(logit))
+        self.log(
+            "train/loss", loss, on_step=False, on_epoch=True, batch_size=len(logit), sync_dist=True
+        )
         return loss
 
     def validation_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
         found = calibration_metrics(self._of(batch), batch["same"])
-        self.log_dict({f"val/{key}": value for key, value in found.items()}, batch_size=1)
+        self.log_dict(
+            {f"val/{key}": value for key, value in found.items()}, batch_size=1, sync_dist=True
+        )
 
     def test_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
         """All is measured at the end, sequence by sequence."""

@@ -6,7 +6,7 @@ import hashlib
 import inspect
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ class PairTable:
         evidence: (l, P) raw evidence of each modality, NaN where it has none.
         covariates: (P,) raw values by name, of those that the observations allow.
         same: (P,) whether a pair shows one object; clutter is the same as nothing.
+        says: (l, P) whether a modality has anything to say; where its evidence is finite if None.
     """
 
     observations: Observations
@@ -40,6 +41,11 @@ class PairTable:
     evidence: Tensor
     covariates: Mapping[str, Tensor]
     same: Tensor
+    says: Tensor = field(default=None)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.says is None:
+            object.__setattr__(self, "says", self.evidence.isfinite())
 
     def __len__(self) -> int:
         return self.pairs.shape[1]
@@ -52,6 +58,7 @@ class PairTable:
             evidence=self.evidence[:, index],
             covariates={name: value[index] for name, value in self.covariates.items()},
             same=self.same[index],
+            says=self.says[:, index],
         )
 
     def of_identities(self, chosen: Tensor) -> PairTable:

@@ -230,6 +230,10 @@ def test_files_that_are_something_else(tmp_path):
         (lambda: Platt().fit(torch.zeros(3), torch.ones(3)), "both kinds"),
         (lambda: Platt().fit(torch.zeros(3), torch.ones(2)), "same"),
         (lambda: Platt(["time_gap"]).fit(torch.arange(4.0), torch.arange(4) > 1), "covariates"),
+        (
+            lambda: Platt().fit(torch.arange(4.0), torch.arange(4) > 1, groups=torch.zeros(4)),
+            "groups: expected two",
+        ),
         (lambda: Beta().fit(torch.tensor([0.5, 2.0]), torch.tensor([True, False])), "Beta takes"),
     ],
 )

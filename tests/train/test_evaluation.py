@@ -1,10 +1,12 @@
 """Solving labelled pairs: what counts as an error where the pairs fall into parts."""
 
+from dataclasses import replace
+
 import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from train.evaluation import parts_of, solved, summary
+from train.evaluation import parts_of, ratios_by_modality, solved, summary
 from train.selectors import AtGaps
 from train.tables import PairTable
 
@@ -50,8 +52,18 @@ def test_no_pairs():
     assert solved(rows, rows.evidence, ["truth"], None)["f1"] == 1.0
 
 
+def test_a_modality_is_judged_on_what_it_speaks_of_when_tables_hold_scores():
+    rows = table(Every())
+    evidence = rows.evidence.where(torch.arange(len(rows)) % 2 == 0, torch.nan)
+    raw = replace(rows, evidence=evidence, says=evidence.isfinite())
+    scored = replace(raw, evidence=raw.evidence.nan_to_num(0.5))
+    for of in (raw, scored, scored.select(torch.arange(len(rows)))):
+        ratio, _ = ratios_by_modality([of], [scored.evidence], ["truth"])["truth"]
+        assert len(ratio) == int(evidence.isfinite().sum())
+
+
 def test_summary_names_what_was_measured():
-    figures = {key: 0.25 for key in ("cllr", "min_cllr", "ece", "brier", "auc")}
+    figures = dict.fromkeys(("cllr", "min_cllr", "ece", "brier", "auc"), 0.25)
     text = summary({"by hand": {"modalities": {"SIFT": figures}, "f1": 0.5}})
     assert "| by hand | SIFT | 0.250 |" in text
     assert "| by hand | 0.500 |" in text
