@@ -14,8 +14,8 @@ Sequences are those in mot15 of the folder $MIXER_DATA, or the folders named:
 
 Speed is measured on synthetic crowds (mixer_torch/datasets/crowd.py) of 50 detections a frame, each
 run in a process of its own: is time per frame the same whatever the length of the sequence? Time
-runs from detections in memory to tracks; memory is the most that the process held meanwhile, over
-what it held before.
+runs from detections in memory to tracks. Memory is the most that the process held meanwhile: on the
+sequences over what it held before, on crowds in all, with interpreter and libraries.
 """
 
 import argparse
@@ -143,9 +143,17 @@ def speed_step(name, frames):
     observations = Crowd(PEOPLE, frames).load()
     true = Crowd(PEOPLE, frames, source="gt").load()
     tracks, cost = measure(track, observations, frames)
+    cost["peak_mib"] = process_peak()
     truth = Tracks.from_labels(true, true["identity"])
     score = evaluate_sequences({"": tracks}, {"": truth})["combined"]
     return {"tracker": name, **{key: score[key] for key in ("HOTA", "IDF1")}, **cost}
+
+
+def process_peak():
+    """The most memory that this process held since `comparison.Peak` began, MiB, if Linux tells."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.is_file() else []
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM")), "")
 
 
 def run_speed(lengths):
