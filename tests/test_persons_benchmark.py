@@ -1,6 +1,8 @@
 """The benchmark of persons on crops that are made here, and its rivals against scikit-learn."""
 
 import csv
+import json
+from importlib import resources
 
 import cv2
 import numpy as np
@@ -29,7 +31,7 @@ def people(tmp_path, monkeypatch):
             cv2.imwrite(str(path), image.astype(np.uint8))
     monkeypatch.setenv("MIXER_DATA", str(tmp_path))
     monkeypatch.setattr(persons, "GALLERIES", {"all": ()})
-    monkeypatch.setattr(persons, "PRIORS", (0.5, 0.2))
+    monkeypatch.setattr(persons, "OFFSETS", (0.0, 1.0))
     monkeypatch.setattr(persons, "train", lambda out, quick: None)
 
 
@@ -53,10 +55,10 @@ def test_rows_first_and_the_table_from_them(people, tmp_path, capsys):
 
 def test_of_mixers_answers_the_one_nearest_to_the_number_is_taken():
     rows = [
-        {"method": "MIXER", "clusters": 6, "objects": 6, "prior": ""},
+        {"method": "MIXER", "clusters": 6, "objects": 6, "offset": ""},
         *(
-            {"method": "MIXER by prior", "clusters": found, "objects": 6, "prior": prior}
-            for prior, found in ((0.5, 3), (0.2, 7), (0.1, 12))
+            {"method": "MIXER by offset", "clusters": found, "objects": 6, "offset": offset}
+            for offset, found in ((-1.0, 3), (0.0, 7), (2.0, 12))
         ),
     ]
     assert persons.told_the_number(rows)["clusters"] == 7
@@ -78,3 +80,28 @@ def test_linkage_agrees_with_scikit_learn(kind):
         ).fit(full)
         labels = torch.from_numpy(expected.labels_), torch.from_numpy(found.astype(np.int64))
         assert adjusted_rand(*labels) == 1
+
+
+def associated(tmp_path, *words):
+    config = resources.files("mixer_torch.configs") / "persons.yaml"
+    out = tmp_path / "found"
+    assert main(["associate", "--config", str(config), "--out", str(out), *words]) == 0
+    return json.loads((out / "metrics.json").read_text())["all"]
+
+
+def test_the_configuration_by_colour(people, tmp_path, capsys):
+    found = associated(tmp_path)
+    assert {"f1", "bcubed_f1", "rank1", "rank5", "map"} <= set(found)
+    assert found["queries"] == 24
+    assert found["map"] > 0.5
+    assert "bcubed f1      rank1        map" in capsys.readouterr().out
+
+
+@pytest.mark.real_data
+def test_colour_of_real_persons(real_data, tmp_path):
+    found = associated(tmp_path, "--dataset.skip", "46")
+    assert found["queries"] == 256
+    assert found["rank1"] > 0.35
+    assert found["f1"] > 0.3
+    cast = associated(tmp_path, "--dataset.skip", "46", "--dataset.balance", "false")
+    assert cast["map"] < 0.8 * found["map"]
