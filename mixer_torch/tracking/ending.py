@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int64
 
 from mixer_torch.tracking.tracks import Tracks
 
+SLACK = 0.01
+
 
 def members(tracks: Tracks) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
     """The rows in order of track and frame, and which track each of them is of, from 0.
@@ -27,15 +29,18 @@ def strong(
     Args:
         tracks: What was found; boxes whose confidence is not known count as sure.
         min_boxes: Boxes that an identity needs, over all cameras.
-        min_confidence: Mean confidence that it needs.
+        min_confidence: Confidence that it needs: 1.01 less the geometric mean of 1.01 less those of
+            its boxes, which tells objects from clutter better than their mean.
         min_strength: Sum of confidences that it needs.
     """
     identity, index = np.unique(tracks.identity, return_inverse=True)
     confidence = np.nan_to_num(tracks.confidence, nan=1.0)
     count = np.bincount(index, minlength=len(identity))
     total = np.bincount(index, weights=confidence, minlength=len(identity))
+    doubt = np.log(1 + SLACK - confidence.clip(0, 1))
+    mean = np.exp(np.bincount(index, weights=doubt, minlength=len(identity)) / count.clip(1))
     good = (count >= min_boxes) & (total >= min_strength)
-    good &= total >= min_confidence * count
+    good &= 1 + SLACK - mean >= min_confidence
     return good[index]
 
 

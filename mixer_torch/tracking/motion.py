@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from mixer_torch.tracking.kalman import filter_each
 
+FLAT = 1e4  # variance of a velocity that is not known, in units of that of velocities
 AXES = 3  # horizontal, vertical, and logarithm of the height
 
 
@@ -62,6 +64,9 @@ class State:
 
     mean: Float[Tensor, "n 3 2"]
     spread: Float[Tensor, "n 3 3"]
+
+    def __getitem__(self, index: Tensor) -> State:
+        return State(self.mean[index], self.spread[index])
 
     @property
     def packed(self) -> Float[Tensor, "n 3 5"]:
@@ -146,6 +151,19 @@ def measured(
     return (share.square() + blur.square()) * (axis_scale(height) / height[:, None]).square()
 
 
+def first_state(
+    position: Float[Tensor, "m 3"],
+    height: Float[Tensor, " m"],
+    model: MotionModel,
+    resolution: float,
+) -> State:
+    """What one box tells: where it is, and next to nothing of its velocity."""
+    speed = (axis_scale(height) * height.new_tensor(model.speed)).square()
+    error = measured(height, model, resolution)
+    none = torch.zeros_like(position)
+    return State(torch.stack([position, none], -1), torch.stack([error, none, FLAT * speed], -1))
+
+
 def resolution(
     position: Float[Tensor, "m 3"],
     height: Float[Tensor, " m"],
@@ -214,15 +232,16 @@ def filtered(
         time: Seconds.
         label: Clusters.
         model: How things move.
+        resolution: Error of the detector, pixels.
         memory: Earlier observations that are looked at.
         backwards: Judge by those after it instead.
     """
     moment = -time if backwards else time
     before = history(label, moment, memory)
     unit = axis_scale(height)
-    speed, jolt = ((unit * torch.as_tensor(x).to(unit)).square() for x in (model.speed, model.jolt))
+    speed, jolt = ((unit * unit.new_tensor(x)).square() for x in (model.speed, model.jolt))
     error = measured(height, model, resolution)
-    arrays = (before, position, error, time, jolt, 1e4 * speed)
+    arrays = (before, position, error, time, jolt, FLAT * speed)
     found = filter_each(*(value.detach().cpu().numpy() for value in arrays))
     return State.unpacked(torch.from_numpy(found).to(position.device))
 
@@ -245,7 +264,7 @@ def log_ratio(
     the axis, per height (or nat): what is left is to divide by that of strangers.
     """
     unit = axis_scale(height)
-    speed, jolt = ((unit * torch.as_tensor(x).to(unit)).square() for x in (model.speed, model.jolt))
+    speed, jolt = ((unit * unit.new_tensor(x)).square() for x in (model.speed, model.jolt))
     predicted = earlier.slowed(speed).moved(seconds, jolt)
     dp, dv = (later.mean - predicted.mean).unbind(-1)
     pp, pv, vv = (later.spread + predicted.spread).unbind(-1)
@@ -253,4 +272,4 @@ def log_ratio(
     squared = (vv * dp**2 - 2 * pv * dp * dv + pp * dv**2) / determinant
     stranger = later.spread[..., 2] + speed
     squared = squared - later.mean[..., 1] ** 2 / stranger
-    return -0.5 * (squared + torch.log(determinant / stranger / unit**2) + 1.8378770664093453)
+    return -0.5 * (squared + torch.log(determinant / stranger / unit**2) + math.log(2 * math.pi))

@@ -7,6 +7,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
+from mixer_torch.tracking.appearance import APPEARANCE, pooled
 from mixer_torch.tracking.motion import MotionModel, box_position, filtered, resolution
 
 PATH_FEATURES = ("span", "entry", "exit")
@@ -20,7 +21,7 @@ def with_paths(
     labels: Int64[Tensor, " m"],
     model: MotionModel,
     memory: int = 12,
-    scale: float = 1.0,
+    inflation: float = 1.0,
 ) -> Observations:
     """The observations with :data:`PATH_FEATURES`, fitted on those of the same label.
 
@@ -33,16 +34,26 @@ def with_paths(
         labels: Clusters of links that are confident.
         model: How things move.
         memory: How many observations before and after are looked at.
+        inflation: By how much the measured error of the detector is taken to be larger than it is:
+            errors of successive boxes are alike, and those next to an occlusion are larger.
     """
     position, height = box_position(observations["box"])
     time = observations["time"].double()
-    blur = scale * resolution(position, height, time, labels, model)
+    blur = inflation * measured_resolution(observations, labels, model)
     states = [
         filtered(position, height, time, labels, model, blur, memory, backwards).packed
         for backwards in (True, False)
     ]
     span = torch.stack([time, time], 1)
     return observations.with_features(span=span, entry=states[0], exit=states[1])
+
+
+def measured_resolution(
+    observations: Observations, labels: Int64[Tensor, " m"], model: MotionModel
+) -> float:
+    """Error of the detector in pixels, see :func:`mixer_torch.tracking.motion.resolution`."""
+    position, height = box_position(observations["box"])
+    return resolution(position, height, observations["time"].double(), labels, model)
 
 
 def summarised(observations: Observations, labels: Int64[Tensor, " m"]) -> Observations:
@@ -56,8 +67,8 @@ def summarised(observations: Observations, labels: Int64[Tensor, " m"]) -> Obser
         As many observations as there are clusters, of no view (what may not be joined overlaps in
         time, see :func:`overlapping`), with features ``span``, ``entry``, ``exit``; ``time`` and
         ``box`` of the first sight; ``camera``; ``boxes``, how many there are; ``first`` and
-        ``last``, the observations at its ends; and the mean of ``confidence`` and ``embedding``
-        where there are any.
+        ``last``, the observations at its ends; and the mean of ``confidence``, ``embedding`` and
+        descriptions of looks where there are any.
     """
     count = int(labels.max()) + 1 if len(labels) else 0
     order = torch.argsort(observations["time"], stable=True)
@@ -78,19 +89,10 @@ def summarised(observations: Observations, labels: Int64[Tensor, " m"]) -> Obser
     }
     if "camera" in observations.features:
         features["camera"] = observations["camera"][first]
-    for name in ("confidence", "embedding"):
-        if name in observations.features:
-            features[name] = pooled(observations[name], labels, count)
+    for name, value in observations.features.items():
+        if name in ("confidence", "embedding") or name.startswith(APPEARANCE):
+            features[name] = pooled(value, labels, count)
     return Observations(torch.full((count,), -1, device=labels.device), features)
-
-
-def pooled(value: Tensor, labels: Int64[Tensor, " m"], count: int) -> Tensor:
-    """The mean of a feature in each cluster, over the rows without NaN; NaN where there is none."""
-    rows = value.double().flatten(1) if value.ndim > 1 else value.double()[:, None]
-    good = rows.isfinite().all(1)
-    total = rows.new_zeros(count, rows.shape[1]).index_add(0, labels[good], rows[good])
-    number = torch.bincount(labels[good], minlength=count)[:, None]
-    return (total / number).reshape(count, *value.shape[1:]).to(value.dtype)
 
 
 def overlapping(span: Tensor, camera: Int64[Tensor, " n"] | None = None) -> Int64[Tensor, "2 K"]:
