@@ -1,6 +1,6 @@
 """How near to the optimum, how fast, and how often binary: 1,000 random problems of six kinds.
 
-    python benchmarks/quality.py --out DIR [--quick]
+    mixer bench quality --out DIR [--quick]
 
 Three kinds have views, as in the paper's Table I: one modality, four modalities, and one modality
 of which more is wrong. Three have none, and are clique partitioning as it is known elsewhere:
@@ -13,17 +13,15 @@ Exact, whose bound stands in for the optimum where time ran out. Loop 1 writes r
 problem; quality.md is made from it alone.
 """
 
-import argparse
-import csv
 import statistics
 import time
-from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 import mixer_torch as mx
+from mixer_torch.benchmarks import comparison
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import is_distinct
 
@@ -33,6 +31,11 @@ WITH_VIEWS = {
     "one modality, hard": {"noise": 0.5, "wrong": 0.15},
 }
 SIZES = (50, 100)
+COLUMNS = (
+    *("kind", "seed", "m", "feasible", "binary"),
+    *("gradient", "mixer", "mixer_in_batch", "exact", "lower_bound", "proven"),
+    *("seconds", "seconds_in_batch"),
+)
 
 
 def relations(m, rng):
@@ -62,16 +65,16 @@ WITHOUT_VIEWS = {
 }
 
 
-def problems(each, dense):
+def problems(each, dense, first):
     """(kind, affinity): as many of each kind with views, and of each kind and size without."""
     for kind, settings in WITH_VIEWS.items():
         for seed in range(each):
             views = 2 + seed % 11
-            yield kind, synthetic(10, views, 0.4, 0.2, seed=90_000 + seed, **settings)[0]
+            yield kind, synthetic(10, views, 0.4, 0.2, seed=first + seed, **settings)[0]
     for kind, draw in WITHOUT_VIEWS.items():
         for m in SIZES:
             for seed in range(dense):
-                scores = draw(m, np.random.default_rng([m, seed]))
+                scores = draw(m, np.random.default_rng([m, first + seed]))
                 view = torch.full((m,), -1)
                 yield f"{kind}, m = {m}", mx.Affinity.from_dense(scores, view)
 
@@ -106,74 +109,70 @@ def rows_of(affinities, kind, time_limit):
 
 
 def percent_above(row, key, reference):
-    return 100 * (float(row[key]) - float(row[reference])) / max(abs(float(row[reference])), 1e-12)
+    return 100 * (row[key] - row[reference]) / max(abs(row[reference]), 1e-12)
 
 
 def table(rows):
     """Markdown, from the rows alone."""
-    groups = defaultdict(list)
-    for row in rows:
-        groups[row["kind"]].append(row)
     lines = [
-        f"{len(rows)} problems, {sum(int(r['feasible']) for r in rows)} answers feasible, gradient "
-        f"stage binary without rounding in {sum(int(r['binary']) for r in rows)}. Gaps to the best "
+        f"{len(rows)} problems, {sum(r['feasible'] for r in rows):.0f} answers feasible, gradient "
+        f"stage binary without rounding in {sum(r['binary'] for r in rows):.0f}. Gaps to the best "
         "answer of Exact (to its proven bound in brackets), %; times in milliseconds a problem, "
-        f"CPU, {torch.get_num_threads()} threads, torch {torch.__version__}.",
+        f"{comparison.machine()}.",
         "",
         "| kind | problems | m | gap, mean | worst | in a batch, mean | worst | gradient stage, "
         "sums | Exact proved | median ms | ms in a batch |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for kind, group in groups.items():
+    for (kind,), group in comparison.grouped(rows, "kind").items():
         single, batch = (
             [percent_above(row, key, "exact") for row in group]
             for key in ("mixer", "mixer_in_batch")
         )
-        pooled = {key: sum(float(row[key]) for row in group) for key in ("gradient", "exact")}
+        pooled = {key: sum(row[key] for row in group) for key in ("gradient", "exact")}
         bound = statistics.mean(percent_above(row, "mixer", "lower_bound") for row in group)
         cells = [
             kind,
             len(group),
-            f"{statistics.mean(int(row['m']) for row in group):.0f}",
+            f"{comparison.mean(group, 'm'):.0f}",
             f"{statistics.mean(single):.4f} ({bound:.3f})",
             f"{max(single):.3f}",
             f"{statistics.mean(batch):.4f}",
             f"{max(batch):.3f}",
             f"{percent_above(pooled, 'gradient', 'exact'):.2f}",
-            f"{sum(int(row['proven']) for row in group)}/{len(group)}",
-            f"{1e3 * statistics.median(float(row['seconds']) for row in group):.1f}",
-            f"{1e3 * float(group[0]['seconds_in_batch']):.1f}",
+            f"{sum(row['proven'] for row in group):.0f}/{len(group)}",
+            f"{1e3 * statistics.median(row['seconds'] for row in group):.1f}",
+            f"{1e3 * group[0]['seconds_in_batch']:.1f}",
         ]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines) + "\n"
 
 
-def main(argv=None):
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--quick", action="store_true", help="20 problems of a kind with views")
-    parser.add_argument("--time_limit", type=float, default=20.0, help="of Exact, seconds")
-    arguments = parser.parse_args(argv)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    each, dense = (20, 2) if arguments.quick else (312, 11)
+def run(each, dense, first, time_limit):
     mx.solve(synthetic(4, 3, seed=0)[0])
-    groups = defaultdict(list)
-    for kind, affinity in problems(each, dense):
-        groups[kind].append(affinity)
-    rows = []
-    for kind, affinities in groups.items():
-        rows += rows_of(affinities, kind, arguments.time_limit)
-        print(kind, flush=True)
-    path = arguments.out / "rows.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    with path.open(newline="") as file:
-        text = table(list(csv.DictReader(file)))
+    groups = {}
+    for kind, affinity in problems(each, dense, first):
+        groups.setdefault(kind, []).append(affinity)
+    for kind, affinities in tqdm(groups.items(), disable=None):
+        yield from rows_of(affinities, kind, time_limit)
+
+
+def main(argv=None):
+    arguments = comparison.arguments(
+        (__file__, __doc__),
+        argv,
+        "20 problems of a kind with views, 2 of a kind and size without",
+        first=(90_000, "seed of the first problem of each kind"),
+        time_limit=(20, "of Exact, seconds"),
+    )
+    if not arguments.from_rows:
+        counts = (20, 2) if arguments.quick else (312, 11)
+        rows = run(*counts, arguments.first, arguments.time_limit)
+        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
+    text = table(comparison.read(arguments.out / "rows.csv"))
     (arguments.out / "quality.md").write_text(text)
-    print(text)
+    return text
 
 
 if __name__ == "__main__":
-    main()
+    print(main())

@@ -1,4 +1,4 @@
-"""Time and memory against the number of observations m, and the objective beside greedy + moves.
+"""Time and memory against the number of observations m, and the objective beside a peer's.
 
 Three series, each step in a process of its own:
 
@@ -7,8 +7,9 @@ Three series, each step in a process of its own:
 - dense: all pairs of about m observations in 20 views, four modalities.
 - batch: 1,024 problems of about 50 observations, in one call and one after the other.
 
-Peers on the same input: greedy contraction alone (GAEC), and greedy contraction followed by moves
-without restarts: single nodes, re-matching of views, Kernighan-Lin exchanges, joins.
+The peer on the same input is greedy contraction alone (GAEC), and followed by Kernighan-Lin with
+joins (KLj): kernighan_lin.py, which shares no code with the solver. Dense problems are drawn with
+three seeds, the others with one.
 Peak memory is that of the process, less what it held before the problem was solved, without the
 input; on CUDA that of the device. The largest step of the first series is profiled.
 
@@ -29,21 +30,19 @@ import torch
 from tqdm import tqdm
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import comparison, kernighan_lin
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import problem_of
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
-from mixer_torch.solvers.refinement import refine
+from mixer_torch.solvers.base import objective_of, problem_of
 
 DETECTIONS, WINDOW = 50, 2  # in a frame; frames between the two of a pair
 FRAMES = (4, 10, 30, 100, 300, 1000)
 DENSE = (100, 200, 400, 800, 1500, 3000)
 PROBLEMS = 1024
-PEERS = ("greedy", "moves")
+SEEDS = 3  # of dense problems
+PEERS = ("greedy", "klj")
 SOLVED = ("seconds", "peak_mib", "objective")
 PEER_COLUMNS = tuple(f"{what}_{peer}" for peer in PEERS for what in ("seconds", "objective"))
-COLUMNS = ("series", "device", "m", "pairs", "problems", *SOLVED, *PEER_COLUMNS)
+COLUMNS = ("series", "seed", "device", "m", "pairs", "problems", *SOLVED, *PEER_COLUMNS)
 
 
 def video(frames, seed=0, wrong=0.1, noise=0.25, lost=0.1):
@@ -148,38 +147,50 @@ def timed(device, function):
     return result, seconds, peak.mib
 
 
-def step(series, size, device):
-    """One row; runs in a process of its own."""
-    mx.solve([video(6), dense(60)])  # kernels are compiled or loaded
+def step(series, size, seed, device):
+    """One row, or two of the batch; runs in a process of its own."""
+    warm = video(6)
+    mx.solve([warm, dense(60)])  # kernels are compiled or loaded
+    peer(warm)
     if series == "batch":
         return batch_rows(size, device)
-    affinity = (video if series == "degree" else dense)(size).to(device)
-    answer, seconds, peak = timed(device, lambda: mx.solve(affinity))
-    row = {"series": series, "device": device, "m": len(affinity), "problems": 1}
+    affinity = (video if series == "degree" else dense)(size, seed)
+    there = affinity.to(device)
+    answer, seconds, peak = timed(device, lambda: mx.solve(there))
+    row = {"series": series, "seed": seed, "device": device, "m": len(affinity), "problems": 1}
     row |= {"pairs": affinity.pairs.shape[1], "seconds": seconds, "peak_mib": peak}
-    graph = Graph.from_problem(problem_of(affinity))
-    row["objective"] = graph.objective(answer.labels.cpu().numpy())
-    label, row["seconds_greedy"], _ = timed("cpu", lambda: greedy(graph))
-    row["objective_greedy"] = graph.objective(label)
-    (label, _), seconds, _ = timed("cpu", lambda: refine(graph, label, restarts=0))
-    row["seconds_moves"] = row["seconds_greedy"] + seconds
-    row["objective_moves"] = graph.objective(label)
-    return [row]
+    return [row | {"objective": answer.objective} | peer(affinity)]
+
+
+def peer(affinity):
+    """Seconds and objectives of greedy contraction, and of that and Kernighan-Lin with joins."""
+    problem = problem_of(affinity)
+    view = affinity.view.numpy()
+    graph = kernighan_lin.graph_of(problem.pairs.numpy(), problem.cost.double().numpy(), view)
+    begin = time.perf_counter()
+    contracted = kernighan_lin.gaec(*graph)
+    middle = time.perf_counter()
+    improved = kernighan_lin.klj(*graph, contracted)
+    end = time.perf_counter()
+    found = {"greedy": (contracted, middle - begin), "klj": (improved, end - begin)}
+    row = {}
+    for name, (label, seconds) in found.items():
+        row[f"seconds_{name}"] = seconds
+        row[f"objective_{name}"] = objective_of(problem, torch.from_numpy(label))
+    return row
 
 
 def batch_rows(count, device):
     """Many small problems together, and each by itself."""
-    affinities = [affinity.to(device) for affinity in small(count)]
-    graph = Graph.from_problems([problem_of(affinity) for affinity in affinities])
-    label, seconds_greedy, _ = timed("cpu", lambda: greedy(graph))
-    (moved, _), seconds, _ = timed("cpu", lambda: refine(graph, label, restarts=0))
-    row = {"device": device, "problems": count, "m": sum(map(len, affinities))}
+    affinities = small(count)
+    row = {"device": device, "seed": 0, "problems": count, "m": sum(map(len, affinities))}
     row["pairs"] = sum(affinity.pairs.shape[1] for affinity in affinities)
-    row |= {"seconds_greedy": seconds_greedy, "objective_greedy": graph.objective(label)}
-    row |= {"seconds_moves": seconds_greedy + seconds, "objective_moves": graph.objective(moved)}
+    peers = [peer(affinity) for affinity in affinities]
+    row |= {column: sum(own[column] for own in peers) for column in PEER_COLUMNS}
+    there = [affinity.to(device) for affinity in affinities]
     ways = {
-        "batch": lambda: mx.solve(affinities),
-        "one by one": lambda: [mx.solve(affinity) for affinity in affinities],
+        "batch": lambda: mx.solve(there),
+        "one by one": lambda: [mx.solve(affinity) for affinity in there],
     }
     rows = []
     for series, solve in ways.items():
@@ -208,15 +219,19 @@ def profile(frames):
 def run(quick):
     devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
     steps = [
-        *(("degree", frames) for frames in (FRAMES[:3] if quick else FRAMES)),
-        *(("dense", m) for m in (DENSE[:3] if quick else DENSE)),
-        ("batch", 64 if quick else PROBLEMS),
+        *(("degree", frames, 0) for frames in (FRAMES[:3] if quick else FRAMES)),
+        *(
+            ("dense", m, seed)
+            for m in (DENSE[:3] if quick else DENSE)
+            for seed in range(1 if quick else SEEDS)
+        ),
+        ("batch", 64 if quick else PROBLEMS, 0),
     ]
     rows = []
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
         for device in devices:
-            for series, size in tqdm(steps, device, disable=None):
-                rows += pool.submit(step, series, size, device).result()
+            for one in tqdm(steps, device, disable=None):
+                rows += pool.submit(step, *one, device).result()
     return rows
 
 
@@ -235,18 +250,19 @@ def main(argv=None):
 
 def table(rows):
     lines = [
-        "| series | device | m | pairs | s | ms a problem | MiB | objective | greedy | s "
-        "| greedy + moves | s |",
-        "|---|---|" + "---:|" * 10,
+        "| series | device | seed | m | pairs | s | ms a problem | MiB | objective | GAEC | s "
+        "| GAEC + KLj | s |",
+        "|---|---|" + "---:|" * 11,
     ]
     for row in rows:
         each = 1000 * row["seconds"] / row["problems"]
         lines.append(
-            f"| {row['series']} | {row['device']} | {row['m']:.0f} | {row['pairs']:.0f} "
+            f"| {row['series']} | {row['device']} | {row['seed']:.0f} | {row['m']:.0f} "
+            f"| {row['pairs']:.0f} "
             f"| {row['seconds']:.3f} | {each:.2f} | {row['peak_mib']:.0f} "
             f"| {row['objective']:.2f} | {row['objective_greedy']:.2f} "
-            f"| {row['seconds_greedy']:.3f} | {row['objective_moves']:.2f} "
-            f"| {row['seconds_moves']:.3f} |"
+            f"| {row['seconds_greedy']:.3f} | {row['objective_klj']:.2f} "
+            f"| {row['seconds_klj']:.3f} |"
         )
     return "\n".join([*lines, "", f"{comparison.machine()}.", ""])
 
@@ -257,6 +273,7 @@ def plot(rows, path):
 
     figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for (series, device), group in comparison.grouped(rows, "series", "device").items():
+        group = [row for row in group if row["seed"] == 0]
         m = [row["m"] for row in group]
         for axis, key in zip(axes, ("seconds", "peak_mib"), strict=True):
             axis.plot(m, [row[key] for row in group], "o-", label=f"{series}, {device}")

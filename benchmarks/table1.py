@@ -1,6 +1,6 @@
 """The paper's Table I: how far MIXER is from the optimum, and how much faster than proving it.
 
-    python benchmarks/table1.py --out DIR [--quick]
+    mixer bench table1 --out DIR [--quick]
 
 Problems: 10 objects in n_o = 2, 4, ..., 12 partial views, one modality, 50 trials each. The paper
 gives 10 <= m <= 50 and "randomly added outliers and noise", but neither the share of objects in
@@ -13,24 +13,26 @@ wrong: single pairs mislead, the optimum seldom does. "hard" has noise 0.5 and 1
 Loop 1 writes rows.csv, one row a trial; table1.md is made from it alone.
 """
 
-import argparse
-import csv
 import statistics
 import time
-from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
+from tqdm import tqdm
 
 import mixer_torch as mx
+from mixer_torch.benchmarks import comparison
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import pairwise
 from mixer_torch.solvers.base import problem_of
 
 LEVELS = {"paper": {"noise": 0.3, "wrong": 0.05}, "hard": {"noise": 0.5, "wrong": 0.15}}
+COLUMNS = (
+    *("level", "views", "seed", "m", "optimum", "lower_bound", "exact_seconds", "status"),
+    *("naive_seconds", "naive_proven", "solver", "objective", "gap", "precision", "recall"),
+    "seconds",
+)
 VIEWS = (2, 4, 6, 8, 10, 12)
 SOLVERS = {"Mixer(refine=False)": mx.Mixer(refine=False), "Mixer()": mx.Mixer()}
 PAPER = {  # gap %, change of precision %, change of recall %, milliseconds, speedup
@@ -99,32 +101,27 @@ def trial(level, views, seed, exact, naive_limit):
         )
 
 
-def spread(values):
-    return f"{statistics.mean(values):.2f} ± {statistics.pstdev(values):.2f}"
-
-
 def table(rows):
     """Markdown, from the rows alone."""
-    groups = defaultdict(list)
-    for row in rows:
-        groups[row["level"], row["solver"], int(row["views"])].append(row)
-    lines = [f"CPU, one process, torch {torch.__version__}; mean ± deviation over the trials.", ""]
-    for level in dict.fromkeys(row["level"] for row in rows):
+    lines = [f"{comparison.machine()}; mean ± deviation over the trials.", ""]
+    for (level,), own in comparison.grouped(rows, "level").items():
         lines += [f"## {level}: {LEVELS[level]}", ""]
         lines += ["| solver | n_o | m | gap % | p % | r % | ms | speedup | Exact ms | proven |"]
         lines += ["|---|---|---|---|---|---|---|---|---|---|"]
-        for (at, solver, views), group in groups.items():
-            if at != level:
-                continue
-            text = [spread([float(r[k]) for r in group]) for k in ("gap", "precision", "recall")]
-            own = statistics.median(float(r["seconds"]) for r in group)
-            exact = statistics.median(float(r["exact_seconds"]) for r in group)
-            proven = sum(r["status"] == "OPTIMAL" for r in group)
-            m = statistics.mean(float(r["m"]) for r in group)
-            cells = [solver, views, f"{m:.0f}", *text, f"{1e3 * own:.1f}", f"{exact / own:.1f}"]
+        for (solver, views), group in comparison.grouped(own, "solver", "views").items():
+            text = [
+                f"{comparison.mean(group, key):.2f} ± {comparison.spread(group, key):.2f}"
+                for key in ("gap", "precision", "recall")
+            ]
+            own_seconds, exact = (
+                statistics.median(row[key] for row in group) for key in ("seconds", "exact_seconds")
+            )
+            proven = sum(row["status"] == "OPTIMAL" for row in group)
+            cells = [solver, f"{views:.0f}", f"{comparison.mean(group, 'm'):.0f}", *text]
+            cells += [f"{1e3 * own_seconds:.1f}", f"{exact / own_seconds:.1f}"]
             cells += [f"{1e3 * exact:.0f}", f"{proven}/{len(group)}"]
-            lines += ["| " + " | ".join(map(str, cells)) + " |"]
-        lines += ["", *naive_lines([row for row in rows if row["level"] == level]), ""]
+            lines += ["| " + " | ".join(cells) + " |"]
+        lines += ["", *naive_lines(own), ""]
     lines += [
         "## The paper",
         "",
@@ -137,51 +134,44 @@ def table(rows):
 
 def naive_lines(rows):
     """Exact beside the naive formulation, where that was run."""
-    found = defaultdict(list)
-    for row in rows:
-        if row["naive_seconds"] != "" and row["solver"] == "Mixer()":
-            found[int(row["views"])].append(row)
-    if found:
+    run = [row for row in rows if row["naive_seconds"] != "" and row["solver"] == "Mixer()"]
+    if run:
         yield "| n_o | naive, seconds | proven | Exact on the same, seconds | factor |"
         yield "|---|---|---|---|---|"
-    for views, group in found.items():
-        slow = statistics.mean(float(r["naive_seconds"]) for r in group)
-        fast = statistics.mean(float(r["exact_seconds"]) for r in group)
-        proven = sum(int(r["naive_proven"]) for r in group)
-        yield f"| {views} | {slow:.2f} | {proven}/{len(group)} | {fast:.2f} | {slow / fast:.1f} |"
+    for (views,), group in comparison.grouped(run, "views").items():
+        slow, fast = (comparison.mean(group, key) for key in ("naive_seconds", "exact_seconds"))
+        proven = f"{sum(row['naive_proven'] for row in group):.0f}/{len(group)}"
+        yield f"| {views:.0f} | {slow:.2f} | {proven} | {fast:.2f} | {slow / fast:.1f} |"
 
 
-def main(argv=None):
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--quick", action="store_true", help="2 trials of n_o = 2, 6, 12")
-    parser.add_argument("--trials", type=int, default=50, help="of each number of views")
-    parser.add_argument("--time_limit", type=float, default=120.0, help="of Exact, seconds")
-    parser.add_argument("--naive_limit", type=float, default=60.0, help="of the naive formulation")
-    arguments = parser.parse_args(argv)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    trials, naive_trials = (2, 1) if arguments.quick else (arguments.trials, 3)
-    exact = mx.Exact(time_limit=arguments.time_limit)
+def run(views, trials, naive_trials, time_limit, naive_limit):
+    exact = mx.Exact(time_limit=time_limit)
     warm, _ = synthetic(4, 3, seed=0)
     for solver in (*SOLVERS.values(), exact):
         mx.solve(warm, solver)
-    rows = []
-    for level in LEVELS:
-        for views in (2, 6, 12) if arguments.quick else VIEWS:
-            for seed in range(trials):
-                limit = arguments.naive_limit if seed < naive_trials else 0
-                rows += trial(level, views, seed, exact, limit)
-            print(level, views, flush=True)
-    path = arguments.out / "rows.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    with path.open(newline="") as file:
-        text = table(list(csv.DictReader(file)))
+    steps = [(level, n_o) for level in LEVELS for n_o in views]
+    for level, n_o in tqdm(steps, disable=None):
+        for seed in range(trials):
+            yield from trial(level, n_o, seed, exact, naive_limit if seed < naive_trials else 0)
+
+
+def main(argv=None):
+    arguments = comparison.arguments(
+        (__file__, __doc__),
+        argv,
+        "2 trials of n_o = 2, 6, 12",
+        trials=(50, "of each number of views"),
+        time_limit=(120, "of Exact, seconds"),
+        naive_limit=(60, "of the naive formulation, seconds"),
+    )
+    if not arguments.from_rows:
+        size = ((2, 6, 12), 2, 1) if arguments.quick else (VIEWS, arguments.trials, 3)
+        rows = run(*size, arguments.time_limit, arguments.naive_limit)
+        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
+    text = table(comparison.read(arguments.out / "rows.csv"))
     (arguments.out / "table1.md").write_text(text)
-    print(text)
+    return text
 
 
 if __name__ == "__main__":
-    main()
+    print(main())

@@ -10,7 +10,6 @@ import torch
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.moves.decomposition import cut_along, decompose
-from mixer_torch.solvers.moves.graph import compact
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.proof.branching import BranchAndCut
 from mixer_torch.solvers.proof.parts import graph_of, induced
@@ -64,10 +63,10 @@ class Exact(Solver):
             "nodes": sum(proof.nodes for proof in proofs),
             "cuts": sum(proof.cuts for proof in proofs),
         }
-        found = torch.from_numpy(compact(labels)).to(problem.view.device)
+        found = torch.from_numpy(without_idle_links(graph, labels))
         return Solution(
             Status.OPTIMAL if proven else Status.TIME_LIMIT,
-            labels=without_idle_links(problem, found),
+            labels=found.to(problem.view.device),
             lower_bound=bound,
             stats=stats,
         )

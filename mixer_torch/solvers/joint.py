@@ -19,13 +19,16 @@ from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.gradient.batch import Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose, part_costs
-from mixer_torch.solvers.moves.graph import Graph, compact
+from mixer_torch.solvers.moves.enumeration import LARGEST as ENUMERABLE
+from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.moves.greedy import greedy
-from mixer_torch.solvers.refinement import refine
+from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.refinement import Effort, refine_parts, told
 
 # nodes of a part for the gradient stage; on a CPU, torch leaves matrices of that size to one thread
 LARGEST_CPU = 180
 LARGEST_GPU = 2000
+SHARES = 4  # of the work for each thread, since some take longer than others
 CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
 
 
@@ -38,10 +41,6 @@ class Clock:
     def is_over(self) -> bool:
         """Whether there is none left."""
         return time.perf_counter() >= self.end
-
-    def left(self) -> float | None:
-        """Seconds left, at least 0; None if there is no limit."""
-        return None if self.end == math.inf else max(self.end - time.perf_counter(), 0.0)
 
 
 @dataclass(frozen=True)
@@ -77,45 +76,42 @@ class Joint:
         label: np.ndarray,
         restarts: int,
         seed: int,
-        time_limit: float | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> tuple[np.ndarray, bool]:
+        clock: Clock,
+        progress: Callable[[float], None],
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
         """Discrete refinement of all problems, on as many threads as torch uses.
 
         A problem's labels depend neither on its neighbours nor on the threads.
 
         Returns:
-            Better labels, and whether time ran out.
+            Better labels, (parts, COURSE) the course of the search of each part, and whether time
+            ran out.
         """
-        borders = self._shares(torch.get_num_threads())
+        threads = torch.get_num_threads()
+        borders = self._shares(SHARES * threads if threads > 1 else 1)
         told = np.zeros(len(borders) - 1)
         lock = Lock()
+        key = np.arange(len(self.graph)) - self.start[self.owner]
 
-        def search(share: int) -> tuple[np.ndarray, dict[str, Any]]:
+        def search(share: int) -> tuple[np.ndarray, np.ndarray, bool]:
             def tell(fraction: float) -> None:
                 with lock:
                     told[share] = fraction
-                    if progress is not None:
-                        progress(float(told @ np.diff(borders)) / len(self.graph))
+                    progress(float(told @ np.diff(borders)) / len(self.graph))
 
             first, end = borders[share : share + 2]
-            return refine(
-                self._between(first, end),
-                compact(label[first:end]),
-                restarts=restarts,
-                seed=seed,
-                key=(np.arange(len(self.graph)) - self.start[self.owner])[first:end],
-                time_limit=time_limit,
-                progress=tell,
-            )
+            graph, parts = self._between(first, end)
+            effort = Effort(restarts, seed, clock.end, tell)
+            return refine_parts(graph, parts, label[first:end], effort, key[first:end])
 
         if len(told) == 1:
             found = [search(0)]
         else:
-            with ThreadPoolExecutor(len(told)) as pool:
+            with ThreadPoolExecutor(threads) as pool:
                 found = list(pool.map(search, range(len(told))))
-        moved = [own + first for (own, _), first in zip(found, borders, strict=False)]
-        return np.concatenate(moved), any(stats["timed_out"] for _, stats in found)
+        moved = [own + first for (own, _, _), first in zip(found, borders, strict=False)]
+        courses = np.concatenate([course for _, course, _ in found])
+        return np.concatenate(moved), courses, any(late for _, _, late in found)
 
     def _shares(self, most: int) -> list[int]:
         """Nodes at which the problems are divided into shares of about equal size."""
@@ -123,20 +119,24 @@ class Joint:
         inner = self.start[np.searchsorted(self.start, wanted)]
         return sorted({0, *inner.tolist(), len(self.graph)})
 
-    def _between(self, first: int, end: int) -> Graph:
-        """The graph of some consecutive problems, without a copy where there is none to make."""
+    def _between(self, first: int, end: int) -> tuple[Graph, Parts]:
+        """The graph of some consecutive problems and its parts, copied only if need be."""
         if end - first == len(self.graph):
-            return self.graph
+            return self.graph, self.parts
         edges = slice(*self.graph.start[[first, end]])
         tokens = slice(*self.graph.token_start[[first, end]])
         token = self.graph.token[tokens]
-        return Graph(
+        graph = Graph(
             self.graph.start[first : end + 1] - edges.start,
             self.graph.neighbour[edges] - np.int32(first),
             self.graph.cost[edges],
             self.graph.token_start[first : end + 1] - tokens.start,
             token - token.min() if len(token) else token,
         )
+        part = self.parts.part[first:end]  # a problem's parts are numbered one after the other
+        start = self.parts.start[part.min() : part.max() + 2]
+        order = self.parts.order[start[0] : start[-1]] - first
+        return graph, Parts(part - part.min(), order, start - start[0])
 
     def objective(self, label: np.ndarray) -> np.ndarray:
         """(parts,) cost of the pairs inside clusters, each of which lies in one part."""
@@ -152,7 +152,7 @@ class Joint:
         """What the gradient stage makes of each part that is neither trivial nor too large."""
         size = np.diff(self.parts.start)
         largest = LARGEST_CPU if self.like.device.type == "cpu" else LARGEST_GPU
-        which = np.flatnonzero((size > 2) & (size <= largest))
+        which = np.flatnonzero((size > ENUMERABLE) & (size <= largest))
         first = np.unique(label, return_index=True)[1]
         clusters = np.bincount(self.parts.part[first], minlength=len(size))
         columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
@@ -200,43 +200,49 @@ def solve_side_by_side(
     found = joint.relax(stage, contracted, clock, lambda part: progress(0.3 * part))
     relaxed = joint.labels(found, contracted)
     label = joint.better(contracted, relaxed)
-    label, timed_out = joint.refine(
-        label, restarts, seed, clock.left(), lambda part: progress(0.3 + 0.7 * part)
+    label, courses, timed_out = joint.refine(
+        label, restarts, seed, clock, lambda part: progress(0.3 + 0.7 * part)
     )
+    label = without_idle_links(joint.graph, label)
     progress(1.0)
     stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
-    home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
-    value = {
-        name: np.bincount(home, joint.objective(labels), len(problems))
-        for name, labels in stages.items()
-    }
-    histories = _histories(joint, found)
     solutions = []
-    for b, problem in enumerate(problems):
-        own = label[joint.start[b] : joint.start[b + 1]]
-        stats = histories[b] | {f"objective_{name}": float(value[name][b]) for name in stages}
-        stats["history"] = [*stats["history"], stats["objective_refined"]]
+    for b, (problem, stats) in enumerate(
+        zip(problems, _stats(joint, found, stages, courses), strict=True)
+    ):
+        own = torch.from_numpy(label[joint.start[b] : joint.start[b + 1]])
         status = Status.CONVERGED if stats["binary_without_rounding"] else Status.ROUNDED
-        solutions.append(
-            Solution(
-                Status.TIME_LIMIT if timed_out else status,
-                torch.from_numpy(own).to(problem.view.device),
-                stats=stats,
-            )
-        )
+        status = Status.TIME_LIMIT if timed_out else status
+        solutions.append(Solution(status, own.to(problem.view.device), stats=stats))
     return solutions
 
 
-def _histories(joint: Joint, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
-    """Statistics of the gradient stage by problem: of its parts, objectives added up."""
-    size = np.diff(joint.parts.start)
+def _stats(
+    joint: Joint, found: dict[int, Relaxed], stages: dict[str, np.ndarray], courses: np.ndarray
+) -> list[dict[str, Any]]:
+    """By problem: what the gradient stage and the search made of its parts, added up."""
     home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
+    all_stats = _histories(joint, home, found)
+    course = np.zeros((len(all_stats), courses.shape[1]))
+    np.add.at(course, home, courses)
+    for name, labels in stages.items():
+        value = np.bincount(home, joint.objective(labels), len(all_stats))
+        for stats, own in zip(all_stats, value.tolist(), strict=True):
+            stats[f"objective_{name}"] = own
+    for stats, own in zip(all_stats, course, strict=True):
+        stats |= told(own)
+        stats["history"].append(stats["objective_refined"])
+    return all_stats
+
+
+def _histories(joint: Joint, home: np.ndarray, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
+    """Statistics of the gradient stage by problem: of its parts, objectives added up."""
     stats: list[dict[str, Any]] = [
         {"iterations": 0, "binary_without_rounding": True, "penalty": 0.0, "parts": 0, "relaxed": 0}
         for _ in range(len(joint.start) - 1)
     ]
     histories: list[list[np.ndarray]] = [[] for _ in stats]
-    for part in range(len(size)):
+    for part in range(len(joint.parts)):
         own = stats[home[part]]
         own["parts"] += 1
         if part in found:
@@ -250,6 +256,7 @@ def _histories(joint: Joint, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
         longest = max((len(row) for row in rows), default=0)
         total = np.zeros(longest)
         for row in rows:
-            total += np.pad(row, (0, longest - len(row)), mode="edge")
+            total[: len(row)] += row
+            total[len(row) :] += row[-1]
         own["history"] = total.tolist()
     return stats

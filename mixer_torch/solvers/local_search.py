@@ -24,7 +24,7 @@ class LocalSearch(Solver):
     it takes a fraction of the time. ``stats`` tells what :func:`refine` does.
 
     Args:
-        restarts: Perturbed restarts in a row that bring nothing, after which a part is left.
+        restarts: Perturbed restarts of a part at most.
         time_limit: Seconds after which no further restart begins; None for no limit.
         seed: Of all random draws.
 
@@ -52,6 +52,6 @@ class LocalSearch(Solver):
             seed=self.seed,
             time_limit=self.time_limit,
         )
-        labels = torch.from_numpy(found).to(problem.view.device)
+        labels = torch.from_numpy(without_idle_links(graph, found)).to(problem.view.device)
         status = Status.TIME_LIMIT if stats["timed_out"] else Status.CONVERGED
-        return Solution(status, without_idle_links(problem, labels), stats=stats)
+        return Solution(status, labels, stats=stats)

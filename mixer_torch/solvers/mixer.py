@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import ClassVar, Literal, get_args
 
 import torch
@@ -13,7 +12,6 @@ from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.gradient.batch import Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
-from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.refinement import RESTARTS
 
 Schedule = Literal["anneal", "penalty"]
@@ -33,8 +31,9 @@ class Mixer(Solver):
 
     ``stats`` tells ``binary_without_rounding``, ``iterations``, the last ``penalty`` and the
     ``history`` of the relaxed objective; with refinement also the number of ``parts``, how many
-    were ``relaxed``, and the objective of each stage: ``objective_greedy``, ``objective_gradient``
-    and ``objective_refined``.
+    were ``relaxed``, the objective of each stage (``objective_greedy``, ``objective_gradient`` and
+    ``objective_refined``), how many ``restarts`` ran, and ``gained``: what enumeration, descents,
+    reheats and disturbances have each lowered the objective by.
 
     Args:
         max_iterations: Steps of the gradient stage at most. Annealing takes 100, and is followed by
@@ -46,8 +45,8 @@ class Mixer(Solver):
             in the paper, or "simplex" (row sum 1), as in the authors' later version. Annealing
             needs row sums of 1.
         refine: Whether discrete moves follow. Without, this is the algorithm of the paper.
-        restarts: Perturbed restarts in a row that bring nothing, after which the refinement leaves
-            a part. More find better answers of hard problems, in proportionally more time.
+        restarts: Perturbed restarts of a part at most. Fewer run where they keep coming back to the
+            same answer. More find better answers of hard problems, in proportionally more time.
         time_limit: Seconds, after which the best answer so far is returned; None for no limit.
         seed: Of all random draws.
         precision: Of the matrix products when annealing: "float32" (or float64, where the scores
@@ -105,7 +104,6 @@ class Mixer(Solver):
                 solutions = solve_side_by_side(
                     chosen, self.gradient, self.restarts, self.seed, clock, tell
                 )
-                solutions = list(map(_claiming_least, chosen, solutions))
             else:
                 solutions = self._relaxed(chosen, clock, tell)
             answers.update(zip(group, solutions, strict=True))
@@ -149,12 +147,6 @@ def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
     }
     status = Status.CONVERGED if relaxed.binary else Status.ROUNDED
     return Solution(status, labels=relaxed.labels, stats=stats)
-
-
-def _claiming_least(problem: Problem, solution: Solution) -> Solution:
-    if solution.labels is None:
-        return solution
-    return replace(solution, labels=without_idle_links(problem, solution.labels))
 
 
 def _check(name: str, value: str, choice: object) -> None:

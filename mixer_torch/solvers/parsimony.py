@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
-from jaxtyping import Int64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from torch import Tensor
 
-from mixer_torch.solvers.base import Problem
+from mixer_torch.solvers.moves.decomposition import components
+from mixer_torch.solvers.moves.graph import Graph
 
 
-def without_idle_links(problem: Problem, labels: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
+def without_idle_links(graph: Graph, label: np.ndarray) -> np.ndarray:
     """Split each cluster into the parts that chains of negative-cost pairs hold together.
 
     No pair of negative cost lies between two such parts, so what lies between them costs 0 or more:
@@ -21,13 +17,10 @@ def without_idle_links(problem: Problem, labels: Int64[Tensor, " m"]) -> Int64[T
     that are not listed, or scores of 0.5), to merge them or not would else be left to chance.
 
     Args:
-        problem: What the labels answer.
-        labels: (m,) any integers.
+        graph: What the labels answer.
+        label: (n,) any integers.
+
+    Returns:
+        (n,) int64, 0.. in order of first appearance.
     """
-    a, b = problem.pairs
-    held = (labels[a] == labels[b]) & (problem.cost < 0)
-    ends = problem.pairs[:, held].cpu().numpy()
-    m = len(problem)
-    graph = coo_array((np.ones(ends.shape[1], dtype=np.int8), (ends[0], ends[1])), shape=(m, m))
-    parts = connected_components(graph, directed=False)[1]
-    return torch.from_numpy(parts.astype(np.int64)).to(labels.device)
+    return components(graph, np.asarray(label, np.int64))

@@ -12,15 +12,17 @@ import numpy as np
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled, mix
 from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.moves.enumeration import LARGEST as ENUMERABLE
+from mixer_torch.solvers.moves.enumeration import enumerate_parts
 from mixer_torch.solvers.moves.graph import Graph, arrays_of, compact, named_by_member
 from mixer_torch.solvers.moves.multilevel import refine_large
 from mixer_torch.solvers.moves.region import Names, carriers_of, named, search_region
-from mixer_torch.solvers.moves.search import COURSE, DESCENDED, DISTURBED, REHEATED, new_course
+from mixer_torch.solvers.moves.search import COURSE, ENUMERATED, GAINS, new_course
 from mixer_torch.solvers.moves.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
-RESTARTS = 150  # of one part at most
-FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
+RESTARTS = 120  # of one part at most
+FULL = 50, 250  # nodes of the smallest and largest parts that get all of these
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
 LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
@@ -43,17 +45,16 @@ def refine(
     seed: int = 0,
     time_limit: float | None = None,
     progress: Progress | None = None,
-    key: np.ndarray | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Better labels, never worse ones.
 
-    Each part (:func:`decompose`) is descended by moves of single nodes, re-matching of one token's
-    carriers, merges and exchanges until none gains. Then, again and again, a random region is
-    reheated (simulated annealing) or taken apart and put together in random order, and descended;
-    the result is kept if it is not worse. A part is left after ``restarts`` of these, or before,
-    where reheats keep coming back to the same clustering, or where nothing can be lower. Parts of
-    two nodes are joined (a negative cost connects them); parts too large for a matrix go to
-    :func:`refine_large`.
+    Each part (:func:`decompose`) of a few nodes is solved by enumeration (:func:`enumerate_parts`).
+    Any other is descended by moves of single nodes, re-matching of one token's carriers, merges and
+    exchanges until none gains. Then, again and again, a random region is reheated (simulated
+    annealing) or taken apart and put together in random order, and descended; the result is kept if
+    it is not worse. A part is left after ``restarts`` of these, or before, where reheats keep
+    coming back to the same clustering, or where nothing can be lower. Parts too large for a matrix
+    go to :func:`refine_large`.
 
     Args:
         graph: The problem.
@@ -62,14 +63,10 @@ def refine(
         seed: Of all random draws; the same seed gives the same labels where time does not run out.
         time_limit: Seconds after which no further restart begins; None for no limit.
         progress: Told the fraction that is done.
-        key: (n,) integers that stand for the nodes in the random draws. Problems that are solved
-            side by side as one graph number their nodes from 0 each, so that the answer to one
-            does not depend on the others.
 
     Returns:
         Labels (n,) int64, 0.. without holes, and stats: the costs ``start`` and ``objective``,
-        ``parts`` (their number), ``timed_out``, ``restarts`` (how many ran), and ``gained``, what
-        each kind of move has lowered the cost by.
+        ``parts`` (their number), ``timed_out``, and what :func:`told` tells.
 
     Raises:
         ValueError: The labels are malformed or break a constraint.
@@ -82,56 +79,65 @@ def refine(
     if not graph.is_feasible(labels):
         raise ValueError("labels: expected no two nodes of a cluster to share a token")
     deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
-    start = graph.objective(labels)
     parts = decompose(graph)
-    label = named_by_member(cut_along(labels, parts))
-    key = np.arange(n) if key is None else np.asarray(key, dtype=np.int64)
     effort = Effort(restarts, seed, deadline, progress)
-    timed_out, course = _run(graph, parts, label, effort, key)
-    label = compact(label)
-    if graph.objective(label) > start:  # by rounding, where nothing was gained
-        label = compact(labels)
+    label, courses, timed_out = refine_parts(graph, parts, labels, effort, np.arange(n))
     stats = {
-        "start": start,
+        "start": graph.objective(labels),
         "objective": graph.objective(label),
         "parts": len(parts),
         "timed_out": timed_out,
-        "restarts": int(course[RUN]),
-        "gained": {
-            "descents": -float(course[DESCENDED]),
-            "reheats": -float(course[REHEATED]),
-            "disturbances": -float(course[DISTURBED]),
-        },
     }
-    return label, stats
+    return label, stats | told(courses.sum(0))
 
 
-def _run(
-    graph: Graph, parts: Parts, label: np.ndarray, effort: Effort, key: np.ndarray
-) -> tuple[bool, np.ndarray]:
-    """Search all parts one after the other and write the labels.
+def told(course: np.ndarray) -> dict[str, Any]:
+    """What the course of a search says of it.
+
+    ``restarts``: how many ran; ``gained``: what each kind of move has lowered the cost by.
+    """
+    gained = {name: -float(course[at]) for name, at in GAINS.items()}
+    return {"restarts": int(course[RUN]), "gained": gained}
+
+
+def refine_parts(
+    graph: Graph, parts: Parts, labels: np.ndarray, effort: Effort, key: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Search all parts one after the other; see :func:`refine`.
+
+    Args:
+        graph: The problem.
+        parts: Its parts.
+        labels: (n,) feasible start.
+        effort: How hard to search.
+        key: (n,) integers that stand for the nodes in the random draws. Problems that are solved
+            side by side as one graph number their nodes from 0 each, so that the answer to one
+            does not depend on the others.
 
     Returns:
-        Whether time ran out, and the courses of the searches, added up.
+        Labels (n,) int64, 0.. without holes, which are not worse; (parts, COURSE) the course of
+        the search of each part; and whether time ran out.
     """
     random = _seeds(effort.seed, key[parts.order[parts.start[:-1]]])
+    label = named_by_member(cut_along(labels, parts))
     size = np.diff(parts.start)
-    pair = parts.start[:-1][size == 2]  # connected by a negative cost, so they belong together
-    label[parts.order[pair + 1]] = label[parts.order[pair]]
+    courses = np.zeros((len(parts), COURSE))
+    courses[:, ENUMERATED] = enumerate_parts(graph, parts, label)
     arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label)
-    work = np.cumsum(np.where(size > 2, size, 0))
-    reported, course = 0, np.zeros(COURSE)
-    for part in np.flatnonzero(size > 2):
+    work, reported = np.cumsum(np.where(size > ENUMERABLE, size, 0)), 0
+    for part in np.flatnonzero(size > ENUMERABLE):
         nodes = parts.order[parts.start[part] : parts.start[part + 1]]
         if size[part] > DENSE:
-            course += _search_large(graph, nodes, label, effort, random[part])
+            courses[part] += _search_large(graph, nodes, label, effort, random[part])
             names = named(graph, label)
         else:
-            course += _search_small(arrays, carrier, names, nodes, effort, random[part])
+            courses[part] += _search_small(arrays, carrier, names, nodes, effort, random[part])
         if effort.progress is not None and work[part] - reported > CHUNK:
             reported = int(work[part])
             effort.progress(reported / int(work[-1]))
-    return time.perf_counter() > effort.deadline, course
+    if graph.objective(label) > graph.objective(labels):  # by rounding, where nothing was gained
+        label = labels
+    return compact(label), courses, time.perf_counter() > effort.deadline
 
 
 def _search_small(

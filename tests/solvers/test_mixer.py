@@ -148,6 +148,10 @@ def test_never_worse_than_either_start():
             assert final <= stats["objective_greedy"] + 1e-4
             assert final <= stats["objective_gradient"] + 1e-4
             assert stats["history"][-1] == stats["objective_refined"]
+            start = min(stats["objective_greedy"], stats["objective_gradient"])
+            gained = sum(stats["gained"].values())
+            assert start - gained == pytest.approx(stats["objective_refined"], abs=1e-6)
+            assert (stats["restarts"] > 0) == (restarts > 0)
 
 
 def test_the_history_ends_at_the_objective_of_the_gradient_stage():

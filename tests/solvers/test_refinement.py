@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of
+from mixer_torch.solvers.moves.decomposition import decompose
 from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.moves.greedy import greedy
-from mixer_torch.solvers.refinement import refine, restarts_of
+from mixer_torch.solvers.refinement import Effort, refine, refine_parts, restarts_of, told
 
 
 def partitions(n: int) -> Iterator[np.ndarray]:
@@ -109,16 +110,23 @@ def test_progress_stays_within_one() -> None:
 def test_side_by_side_answers_as_each_alone() -> None:
     problems = [random_problem(seed, 5 + 4 * seed, 1 + seed) for seed in range(6)]
     key = np.concatenate([np.arange(len(problem)) for problem in problems])
-    together, _ = refine(Graph.from_problems(problems), seed=5, restarts=20, key=key)
+    graph, effort = Graph.from_problems(problems), Effort(20, 5, np.inf, None)
+    together, courses, late = refine_parts(
+        graph, decompose(graph), np.arange(len(key)), effort, key
+    )
+    assert not late
+    restarts = 0
     offset = 0
     for problem in problems:
         alone, stats = refine(problem, seed=5, restarts=20)
+        restarts += stats["restarts"]
         own = together[offset : offset + len(problem)]
         assert len({*zip(own.tolist(), alone.tolist(), strict=True)}) == len(set(alone.tolist()))
         assert len(set(own.tolist())) == len(set(alone.tolist()))
         assert np.isclose(stats["objective"], objective_of(problem, torch.from_numpy(alone)))
         assert is_distinct(torch.from_numpy(alone), problem.view)
         offset += len(problem)
+    assert told(courses.sum(0))["restarts"] == restarts
 
 
 @settings(max_examples=40, deadline=None)
@@ -164,7 +172,7 @@ def test_stats_tell_what_each_kind_of_move_gained() -> None:
     graph = random_graph(2, 80, 1000)
     _, stats = refine(graph, greedy(graph), restarts=10)
     gained = stats["gained"]
-    assert set(gained) == {"descents", "reheats", "disturbances"}
+    assert set(gained) == {"enumeration", "descents", "reheats", "disturbances"}
     assert min(gained.values()) >= 0
     assert np.isclose(sum(gained.values()), stats["start"] - stats["objective"], atol=1e-9)
     assert 0 < stats["restarts"] <= 10
@@ -182,5 +190,5 @@ def test_what_cannot_be_lower_is_left_at_once() -> None:
 @pytest.mark.parametrize("size", [1, 3, 50, 250, 800])
 def test_large_parts_get_fewer_restarts_but_none_goes_without(size: int) -> None:
     assert restarts_of(size, 0) == 0
-    assert 1 <= restarts_of(size, 1) <= restarts_of(size, 100) <= min(100, size)
+    assert 1 <= restarts_of(size, 1) <= restarts_of(size, 100) <= min(100, 2 * size)
     assert restarts_of(150, 100 * size) == 100 * size

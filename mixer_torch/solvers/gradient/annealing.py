@@ -12,9 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mixer_torch.solvers.gradient.batch import Batch, Descent
+from mixer_torch.solvers.gradient.momentum import advance
 from mixer_torch.solvers.gradient.projection import project_rows
 
-MOMENTUM = 0.5
 RELAXATION = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot
 CURVATURE = (-0.5, 0.4, 1.5)  # c when the sweep starts, when it ends, and after the finish
 DISTINCTNESS = (0.1, 0.8, 2.0)  # w at the same times
@@ -60,22 +60,19 @@ def anneal(
     cost = cost / scale[:, None, None]
     curvature, weight = _sweep(iterations)
     step = _steps(curvature, weight, high / scale, batch.distinctness.sum(2).amax(1))
-    hold = (1 + torch.tensor(curvature).to(step)[:, None, None, None] * step).unbind()
+    hold = (1 + torch.tensor(curvature).to(step)[:, None] * step).unbind()
     back = (-step).unbind()
-    previous = assignment = _first(batch, columns, seed)
-    matrix = torch.empty_like(cost)
+    assignment = _first(batch, columns, seed)
+    ahead, matrix = assignment.clone(), torch.empty_like(cost)
     multiply = _products(precision)
-    values = []
+    forms = []
     with _allowed_tf32(precision):
         for t in range(iterations):
-            ahead = torch.lerp(previous, assignment, 1 + MOMENTUM)
             torch.add(cost, batch.distinctness, alpha=weight[t], out=matrix)
             product = multiply(matrix, ahead)
-            values.append(torch.linalg.vecdot(ahead.flatten(1), product.flatten(1)))
-            values.append(torch.linalg.vecdot(ahead.flatten(1), ahead.flatten(1)))
-            target = (ahead * hold[t]).addcmul_(product, back[t])
-            previous, assignment = assignment, project_rows(target, keep)
-    pair_cost, square = torch.stack(values).view(iterations, 2, -1).unbind(1)
+            assignment, ahead, form = advance(assignment, ahead, product, hold[t], back[t], keep)
+            forms.append(form)
+    pair_cost, square = torch.stack(forms).unbind(1)
     concave = torch.tensor(curvature).to(square)[:, None] * (batch.mask.sum(1) - square)
     count = torch.full_like(scale, iterations, dtype=torch.int64)
     penalty = torch.full_like(scale, DISTINCTNESS[-1])
@@ -94,7 +91,7 @@ def _first(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:
 
 def _steps(
     curvature: list[float], weight: list[float], high: Tensor, crowd: Tensor
-) -> Float[Tensor, "T B 1 1"]:
+) -> Float[Tensor, "T B"]:
     """2 / L at each iteration: L bounds what the curvature does in any direction.
 
     The eigenvalues of Ā / |λ| + w P_d − c I lie between −1 − w − c, as P_d is a union of cliques
@@ -103,7 +100,7 @@ def _steps(
     c, w = (torch.tensor(list_, dtype=high.dtype) for list_ in (curvature, weight))
     c, w = (value.to(high.device)[:, None] for value in (c, w))
     bound = torch.maximum((high + w * crowd - c).abs(), 1 + w + c)
-    return (RELAXATION / bound)[..., None, None]
+    return RELAXATION / bound
 
 
 def extreme_eigenvalues(

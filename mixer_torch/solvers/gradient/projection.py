@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import compiled, vectorised
 from mixer_torch.solvers.relaxation import project_to_row_sum_at_most_one, project_to_simplex
 
 
@@ -34,48 +34,41 @@ def project_rows(
 
 @compiled
 def _project(batch: np.ndarray, keep: np.ndarray, at_most: np.ndarray) -> None:
-    """In place. A row whose positive entries add up to less than 1 has a threshold below 0."""
-    above = np.empty(batch.shape[2], batch.dtype)
     for b in range(len(batch)):
         for i in range(batch.shape[1]):
-            row = batch[b, i]
             if keep[b, i]:
-                threshold = _threshold(row, above)
-                if at_most[b]:
-                    threshold = max(threshold, 0.0)
-                for j in range(len(row)):
-                    row[j] = max(row[j] - threshold, 0)
+                project_row(batch[b, i], at_most[b])
             else:
-                row[:] = 0
+                batch[b, i] = 0
 
 
-@compiled
-def _threshold(row: np.ndarray, above: np.ndarray) -> float:
-    """τ for which max(row − τ, 0) has the sum 1, without sorting.
+@vectorised
+def project_row(row: np.ndarray, at_most: bool) -> None:
+    """Project one row in place, without sorting: max(row − τ, 0), the sum being 1.
 
     First the τ for which row − τ has that sum, or a better bound from below; then the same for the
     entries above it, and so on. τ rises until no further entry drops out (Michelot, 1986): a few
-    passes over a short list in the cache, several times faster than a sort of the whole batch.
+    passes of several entries at a time. With 0 as the largest entry no sum loses precision. A row
+    whose positive entries add up to less than 1 has a threshold below 0, which ``at_most`` ends at.
     """
-    total, largest = 0.0, row[0]
-    for value in row:
-        total += value
-        largest = max(largest, value)
-    threshold = max((total - 1) / len(row), largest - 1)
-    count = 0
-    for value in row:
-        if value > threshold:
-            above[count] = value
-            count += 1
-    before = count + 1
-    while 0 < count < before:
-        total = 0.0
-        for j in range(count):
-            total += above[j]
-        threshold = (total - 1) / count
-        before, count = count, 0
-        for j in range(before):
-            if above[j] > threshold:
-                above[count] = above[j]
-                count += 1
-    return threshold
+    zero, one, largest = row.dtype.type(0), row.dtype.type(1), row[0]
+    for j in range(len(row)):
+        largest = max(largest, row[j])
+    total, before = zero, one * len(row)
+    for j in range(len(row)):
+        row[j] -= largest
+        total += row[j]
+    threshold = max((total - one) / before, -one)
+    while True:
+        total, count = zero, zero
+        for j in range(len(row)):
+            total += row[j] if row[j] > threshold else zero
+            count += one if row[j] > threshold else zero
+        if count >= before:
+            break
+        before = count
+        threshold = (total - one) / count
+    if at_most:
+        threshold = max(threshold, -largest)
+    for j in range(len(row)):
+        row[j] = max(row[j] - threshold, zero)

@@ -37,7 +37,7 @@ def decompose(graph: Graph) -> Parts:
     and some optimal clustering has each cluster inside one component. Between such clusters no
     pair counts, so the optima of the components together are an optimum of the whole.
     """
-    part = _components(graph.start, graph.neighbour, graph.cost)
+    part = components(graph, np.zeros(len(graph), np.int64))
     order = np.argsort(part, kind="stable")
     count = np.bincount(part) if len(part) else np.zeros(0, np.int64)
     return Parts(part, order, np.concatenate([[0], np.cumsum(count)]).astype(np.int64))
@@ -48,8 +48,13 @@ def cut_along(label: np.ndarray, parts: Parts) -> np.ndarray:
     return compact(compact(label) * max(len(parts), 1) + parts.part)
 
 
+def components(graph: Graph, label: np.ndarray) -> np.ndarray:
+    """(n,) int64 components of the pairs with negative cost and one label, by first appearance."""
+    return _components(graph.start, graph.neighbour, graph.cost, label)
+
+
 @compiled
-def _components(start, neighbour, cost):  # type: ignore[no-untyped-def]
+def _components(start, neighbour, cost, label):  # type: ignore[no-untyped-def]
     n, parts = len(start) - 1, 0
     part = np.full(n, -1, np.int64)
     stack = np.empty(n, np.int64)
@@ -62,7 +67,7 @@ def _components(start, neighbour, cost):  # type: ignore[no-untyped-def]
             a = stack[waiting]
             for e in range(start[a], start[a + 1]):
                 b = neighbour[e]
-                if cost[e] < 0 and part[b] < 0:
+                if cost[e] < 0 and part[b] < 0 and label[a] == label[b]:
                     part[b] = parts
                     stack[waiting] = b
                     waiting += 1

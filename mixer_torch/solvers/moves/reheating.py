@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixer_torch.solvers.compiled import NONE, draw, inner
+from mixer_torch.solvers.compiled import NONE, draw, inner, shuffle
 from mixer_torch.solvers.moves.clustering import enter, leave
 
 _NOISES = 1024  # a power of two
@@ -15,7 +15,7 @@ _SEVERAL = np.int64(-2)  # in place of one node
 
 @inner
 def reheat(state, region, count, hot, cold, sweeps, random):  # type: ignore[no-untyped-def]
-    """Each node of a region in turn at random draws a new place, at a falling temperature.
+    """Each node of a region in turn draws a new place, again and again at a falling temperature.
 
     A place of cost v is drawn with probability proportional to exp(-v / temperature) (heat bath;
     Kirkpatrick, Gelatt, Vecchi, Science 220, 1983). Where one node stands in the way because it
@@ -23,11 +23,11 @@ def reheat(state, region, count, hot, cold, sweeps, random):  # type: ignore[no-
 
     Args:
         state: The clustering, written.
-        region: The nodes.
+        region: The nodes, which are put in a random order.
         count: Their number.
         hot: Temperature of the first sweep.
         cold: Temperature of the last one.
-        sweeps: How many draws each node has, on average.
+        sweeps: How many draws each node has.
         random: (1,) uint64 state of the random draws, written.
 
     Returns:
@@ -35,10 +35,10 @@ def reheat(state, region, count, hot, cold, sweeps, random):  # type: ignore[no-
     """
     changed, temperature = 0.0, hot
     ratio = (cold / hot) ** (1.0 / max(1, sweeps - 1))
+    shuffle(random, region, count)
     for _ in range(sweeps):
-        for _ in range(count):
-            i = region[draw(random, count)]
-            changed += _redraw(state, i, draw(random, _NOISES), temperature)
+        for q in range(count):
+            changed += _redraw(state, region[q], draw(random, _NOISES), temperature)
         temperature *= ratio
     return changed
 

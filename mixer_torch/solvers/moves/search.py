@@ -14,11 +14,17 @@ from mixer_torch.solvers.moves.reheating import reheat
 
 PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
 # what a search is resumed from, and what it did: an array of so many numbers
-COURSE = 8
+COURSE = 9
 _ENOUGH, _RETURNS, _MISSES, _SWEEPS = range(4)
-RESTARTS, DESCENDED, REHEATED, DISTURBED = range(4, COURSE)
-_RETURNS_EACH = 0.06  # reheats of all nodes that come back to the best and end a search, a restart
-_FRUITLESS = 4.0  # reheats of all nodes that end above the best after which they get longer
+RESTARTS, DESCENDED, REHEATED, DISTURBED, ENUMERATED = range(4, COURSE)
+GAINS = {
+    "enumeration": ENUMERATED,
+    "descents": DESCENDED,
+    "reheats": REHEATED,
+    "disturbances": DISTURBED,
+}
+_RETURNS_EACH = 0.03  # reheats that come back to the best and end a search, a restart
+_FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
 _HOT, _COLD = 1.0, 0.1  # temperatures, in units of what a node's place costs
@@ -126,7 +132,7 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
         change = reheat(state, moves.region, count, start, hot * _COLD, sweeps, random)
         change += descend(state, moves, since)
         course[REHEATED] += _keep_better(state, label, change)
-        _note_return(course, change, moves.tiny, count / n, longest)
+        _note_return(course, change, moves.tiny, count / n * start / hot, longest)
         for _ in range(sweeps // _SWEEPS_EACH):
             since = state.number[1]
             change = disturb(state, moves, random)
@@ -153,7 +159,10 @@ def _keep_better(state, label, change):  # type: ignore[no-untyped-def]
 
 @inner
 def _note_return(course, change, tiny, share, longest):  # type: ignore[no-untyped-def]
-    """Count reheats that came back and reheats in vain, by their share of the nodes."""
+    """Count reheats that came back and reheats in vain.
+
+    One of all nodes from the highest temperature counts as 1: to come back from near by says less.
+    """
     if change < -tiny:
         course[_RETURNS] = course[_MISSES] = 0.0
     elif change <= tiny:
