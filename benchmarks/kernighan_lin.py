@@ -3,7 +3,7 @@
 GAEC and KLj as Keuper, Levinkov, Bonneel, Lavoue, Brox and Andres published them (Efficient
 decomposition of image and mesh graphs by lifted multicuts, ICCV 2015, algorithms 1 to 3), with one
 constraint more: no two nodes of a cluster are of one view. Nothing here is shared with the moves of
-mixer_torch. Costs are to be minimised: negative attracts.
+mixer_torch but how they are compiled. Costs are to be minimised: negative attracts.
 
 Along a chain of Kernighan-Lin moves two nodes of one view may be on one side for a while; only
 where the constraint holds may a chain end.
@@ -11,8 +11,9 @@ where the constraint holds may a chain end.
 
 import heapq
 
-import numba
 import numpy as np
+
+from mixer_torch.solvers.compiled import compiled
 
 TINY = -1e-9  # a change of the cost that counts is below
 
@@ -31,7 +32,7 @@ def graph_of(pairs, cost, view):
     return start, far[order], np.r_[cost, cost][order], view
 
 
-@numba.njit(cache=True)
+@compiled
 def gaec(start, neighbour, cost, view):
     """Join the two clusters of the most negative total cost, until there are none."""
     n = len(view)
@@ -61,7 +62,7 @@ def gaec(start, neighbour, cost, view):
     return root
 
 
-@numba.njit(cache=True)
+@compiled
 def _hand_over(start, neighbour, root, after, u, v, between, heap):
     """The costs between v and others are added to those of u."""
     n, i = len(root), v
@@ -78,12 +79,12 @@ def _hand_over(start, neighbour, root, after, u, v, between, heap):
         i = after[i]
 
 
-@numba.njit(cache=True)
+@compiled
 def _same_view(view, i, j):
     return view[i] >= 0 and view[i] == view[j]
 
 
-@numba.njit(cache=True)
+@compiled
 def _share_view(u, v, after, view):
     i = u
     while i >= 0:
@@ -96,7 +97,7 @@ def _share_view(u, v, after, view):
     return False
 
 
-@numba.njit(cache=True)
+@compiled
 def klj(start, neighbour, cost, view, label):
     """Improve every pair of neighbouring clusters, and split clusters, until nothing changes."""
     n = len(view)
@@ -125,7 +126,7 @@ def klj(start, neighbour, cost, view, label):
     return label
 
 
-@numba.njit(cache=True)
+@compiled
 def _near(graph, label, members, a, seen):
     """Clusters after a that an edge connects with it; seen is left as it was found."""
     start, neighbour, _, _ = graph
@@ -141,7 +142,7 @@ def _near(graph, label, members, a, seen):
     return near
 
 
-@numba.njit(cache=True)
+@compiled
 def _improve(graph, label, members, a, b, place):
     """The best end of a chain of moves between two clusters, or their join, if either gains."""
     nodes, first = np.array(members[a] + members[b]), len(members[a])
@@ -165,7 +166,7 @@ def _improve(graph, label, members, a, b, place):
     return True
 
 
-@numba.njit(cache=True)
+@compiled
 def _between(graph, nodes, place):
     """(k, k) costs between some nodes, and which two of them are of one view."""
     start, neighbour, cost, view = graph
@@ -183,7 +184,7 @@ def _between(graph, nodes, place):
     return weight, clash
 
 
-@numba.njit(cache=True)
+@compiled
 def _chain(weight, clash, side):
     """Every node changes sides once, the best one first.
 
