@@ -171,7 +171,8 @@ class WindowData(PairData):
     def train_dataloader(self) -> DataLoader:
         windows = Windows(self.tables("train"), self.views, self.stride)
         self.windows = windows.windows
-        sampler = EpochSampler(torch.ones(len(windows), dtype=torch.bool), 1, 1, self.seed)
+        every = torch.ones(len(windows), dtype=torch.bool)
+        sampler = EpochSampler(every, 1, 1, self.seed, *self.place)
         return DataLoader(windows, sampler=sampler, batch_size=None)
 
 

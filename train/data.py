@@ -10,7 +10,7 @@ from typing import Any, Literal
 import torch
 from lightning import LightningDataModule
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from mixer_torch import datasets
 from mixer_torch.pairs import Every, PairSelector
@@ -126,7 +126,13 @@ class PairData(LightningDataModule):
         return DataLoader(rows, sampler=self._sampler(rows), batch_size=None)
 
     def _sampler(self, rows: Rows) -> EpochSampler:
-        return EpochSampler(rows.same, self.rivals, self.batch_size, self.seed)
+        return EpochSampler(rows.same, self.rivals, self.batch_size, self.seed, *self.place)
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Number of this process, and of how many that train together."""
+        trainer = self.trainer
+        return (0, 1) if trainer is None else (trainer.global_rank, trainer.world_size)
 
     def val_dataloader(self) -> DataLoader:
         return self._whole("validate")
@@ -164,16 +170,28 @@ class Rows(Dataset):
         return stack_covariates(self.covariates, names, len(self))
 
 
-class EpochSampler(Sampler):
-    """Batches of an epoch: all same pairs and rivals, in an order of seed and epoch alone."""
+class EpochSampler(DistributedSampler):
+    """Batches of an epoch: all same pairs and rivals, in an order of seed and epoch alone.
 
-    def __init__(self, same: Tensor, rivals: int, batch_size: int, seed: int) -> None:
+    Of several processes that train together each takes every so manyth batch; all take the same
+    number of batches, for which some of the first are taken twice.
+    """
+
+    def __init__(
+        self,
+        same: Tensor,
+        rivals: int,
+        batch_size: int,
+        seed: int,
+        rank: int = 0,
+        processes: int = 1,
+    ) -> None:
+        super().__init__(same, processes, rank)  # type: ignore[arg-type]
         self.same = same.nonzero()[:, 0]
         self.different = (~same).nonzero()[:, 0]
         self.count = min(len(self.different), max(rivals * len(self.same), batch_size))
         self.batch_size = batch_size
         self.seed = seed
-        self.epoch = 0
 
     @property
     def kept(self) -> float:
@@ -185,14 +203,17 @@ class EpochSampler(Sampler):
         self.epoch = epoch
 
     def __len__(self) -> int:
-        return -(-(len(self.same) + self.count) // self.batch_size)
+        batches = -(-(len(self.same) + self.count) // self.batch_size)
+        return -(-batches // self.num_replicas)
 
     def __iter__(self) -> Iterator[Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         rivals = torch.randperm(len(self.different), generator=generator)[: self.count]
         chosen = torch.cat([self.same, self.different[rivals]])
         order = chosen[torch.randperm(len(chosen), generator=generator)]
-        yield from order.split(self.batch_size)
+        batches = order.split(self.batch_size)
+        for k in range(len(self)):
+            yield batches[(self.rank + k * self.num_replicas) % len(batches)]
 
 
 def by_identity(table: PairTable, held_out: float, seed: int) -> tuple[PairTable, PairTable]:

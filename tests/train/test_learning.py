@@ -135,6 +135,21 @@ def test_order_depends_on_seed_and_epoch_alone():
     assert set(range(10)) <= set(first.tolist())
 
 
+def test_processes_share_an_epoch():
+    same = torch.arange(100) < 10
+    for processes in (1, 2, 3):
+        ranks = [EpochSampler(same, 3, 16, 4, rank, processes) for rank in range(processes)]
+        for sampler in ranks:
+            sampler.set_epoch(2)
+        whole = EpochSampler(same, 3, 16, seed=4)
+        whole.set_epoch(2)
+        found = [list(sampler) for sampler in ranks]
+        assert [len(batches) for batches in found] == [len(sampler) for sampler in ranks]
+        assert len({len(batches) for batches in found}) == 1
+        pairs = set(torch.cat([batch for batches in found for batch in batches]).tolist())
+        assert pairs == set(torch.cat(list(whole)).tolist())
+
+
 def test_dependence_of_copies_is_one():
     table = make_table(torch.arange(30) % 5)
     copied = PairTable(
