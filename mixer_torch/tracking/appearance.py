@@ -77,7 +77,7 @@ def pooled(value: Tensor, labels: Tensor, count: int) -> Tensor:
         labels: (m,) clusters, 0..count - 1.
         count: How many there are.
     """
-    rows = value.double().reshape(len(value), -1)
+    rows = value.double()[:, None].flatten(1)
     good = rows.isfinite().all(1)
     total = rows.new_zeros(count, rows.shape[1]).index_add(0, labels[good], rows[good])
     number = torch.bincount(labels[good], minlength=count)[:, None]

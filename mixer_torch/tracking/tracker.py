@@ -121,7 +121,7 @@ class Tracker(BaseTracker):
         inflation: float = 1.5,
         tracklet_inflation: float = 5.0,
         min_boxes: int = 3,
-        min_confidence: float = 0.93,
+        min_confidence: float = 0.94,
         min_strength: float = 10.0,
         fill: float = 2.0,
         smoothing: float = 0.3,
