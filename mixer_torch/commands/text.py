@@ -21,10 +21,11 @@ def check_suffix(name: str, path: Path, *suffixes: str) -> None:
 
 def size(affinity: Affinity) -> str:
     """How much was compared."""
-    views = len(torch.unique(affinity.view))
+    views = len(torch.unique(affinity.view[affinity.view >= 0]))
+    where = f"in {views:,} {'view' if views == 1 else 'views'}" if views else "of no view"
     modalities = ", ".join(affinity.modalities)
     pairs = affinity.pairs.shape[1]
-    return f"{len(affinity):,} observations in {views:,} views, {pairs:,} pairs, {modalities}"
+    return f"{len(affinity):,} observations {where}, {pairs:,} pairs, {modalities}"
 
 
 def clusters(association: Association) -> str:
@@ -78,5 +79,5 @@ def listing(out: Path, written: list[str]) -> list[str]:
     others = [name for name in written if name not in pictures]
     return [
         f"written to {out}: {', '.join(others)}",
-        *(f"picture: {out / name}" for name in pictures),
+        *(f"{'video' if name.endswith('.mp4') else 'picture'}: {out / name}" for name in pictures),
     ]

@@ -144,7 +144,7 @@ def test_videos_where_there_are_frames(track):
     assert code == 0, err
     assert files_in("out") == {"walk.txt", "walk.mp4", "blind.txt", "config.yaml"}
     assert "note: blind: no video, as there are no frames" in out
-    assert "picture: out/walk.mp4" in out
+    assert "video: out/walk.mp4" in out
     frames = VideoFrames("out/walk.mp4")
     assert len(frames) == 5
     assert np.abs(frames[0][:200].astype(int) - 90).max() < 12
