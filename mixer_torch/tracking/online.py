@@ -15,6 +15,7 @@ from torch import Tensor
 from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.observations import Images, Observations
 from mixer_torch.scoring import Progress
+from mixer_torch.tracking.appearance import with_looks
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracking.tracks import Tracks
@@ -57,8 +58,8 @@ class OnlineTracker(BaseTracker):
     Args:
         tracker: How boxes and tracklets are compared and clustered, and how tracks end.
         window: Seconds for which what is said of an observation may be revised.
-        passes: Solutions of level one for each frame. One is enough where velocities are fitted
-            on the labels of the frame before.
+        passes: Solutions of level one for each frame. Velocities are fitted on the tracklets of
+            the frame before, so one is enough.
         memory: Settled observations that are kept of each object.
         recall: Seconds for which an object is kept after it was last seen, beyond the window; if
             None, as long as the longest gap that the tracker bridges.
@@ -70,9 +71,9 @@ class OnlineTracker(BaseTracker):
     def __init__(
         self,
         tracker: Tracker,
-        window: float = 1.0,
+        window: float = 2.0,
         passes: int = 1,
-        memory: int = 12,
+        memory: int = 30,
         recall: float | None = None,
     ) -> None:
         if not 0 <= window < math.inf:
@@ -160,27 +161,30 @@ class OnlineTracker(BaseTracker):
         return self
 
     def _reads_pixels(self) -> bool:
-        scorers = [*self.tracker.scorers, *self.tracker.tracklet_scorers]
+        tracker = self.tracker
+        scorers = [*tracker.scorers, *tracker.tracklet_scorers, *tracker.appearance]
         return any("images" in scorer.needs for scorer in scorers)
 
     def _solved(self, stretch: Stretch) -> Stretch:
         """The stretch with labels that fit all of it best."""
-        seen, said = stretch.observations, stretch.label
+        seen, said = with_looks(stretch.observations, self.tracker.appearance), stretch.label
         known = torch.where(stretch.settled, said, -1)
         pairs = self.tracker.pairs(seen)
         pairs = pairs[:, ~stretch.settled[pairs].all(0)]
         must_link, distinct = _settled_links(seen, known)
-        fresh = said.max().clamp(min=-1) + 1 + torch.arange(len(seen), device=said.device)
-        label = by_first_appearance(torch.where(said >= 0, said, fresh))
+        before = stretch.tracklet
+        fresh = before.max() + 1 + torch.arange(len(seen), device=said.device)
+        label = by_first_appearance(torch.where(before >= 0, before, fresh))
         for _ in range(self.passes):
             linked = self.tracker.link(distinct, label, pairs, must_link).labels
             if linked is None:
                 raise ValueError("tracker.solver: expected one that always gives labels")
             label = linked
+        tracklet = label
         for gap in self.tracker.gaps:
             label = self.tracker.join(seen, label, gap, _largest(known, label) >= 0)
         name, following = _names(label, known, said, stretch.next)
-        return replace(stretch, label=name[label], next=following)
+        return replace(stretch, tracklet=tracklet, label=name[label], next=following)
 
     def _settled(self, stretch: Stretch, now: float) -> Stretch:
         old = stretch.observations["time"] <= now - self.window
@@ -203,6 +207,8 @@ class Stretch:
     Args:
         observations: Free and settled ones.
         number: (n,) which they are, in the order in which all came.
+        tracklet: (n,) the cluster of each at level one, on which velocities are fitted with the
+            next frame; -1 where there is none yet.
         label: (n,) the object of each, -1 where nothing was said yet.
         settled: (n,) whether that stays.
         came: How many observations came in all.
@@ -212,6 +218,7 @@ class Stretch:
 
     observations: Observations
     number: Int64[Tensor, " n"]
+    tracklet: Int64[Tensor, " n"]
     label: Int64[Tensor, " n"]
     settled: Bool[Tensor, " n"]
     came: int
@@ -222,7 +229,7 @@ class Stretch:
     def empty(cls, like: Observations) -> Stretch:
         """Of nothing yet, with the features and on the device of some observations."""
         none = like.view.new_zeros(0)
-        return cls(like.select(none), none, none, none.bool(), 0, 0, -math.inf)
+        return cls(like.select(none), none, none, none, none.bool(), 0, 0, -math.inf)
 
     def extended(self, new: Observations, number: Int64[Tensor, " k"]) -> Stretch:
         """With the observations of another frame."""
@@ -241,6 +248,7 @@ class Stretch:
             self,
             observations=seen,
             number=torch.cat([self.number, number]),
+            tracklet=torch.cat([self.tracklet, torch.full_like(number, -1)]),
             label=torch.cat([self.label, torch.full_like(number, -1)]),
             settled=torch.cat([self.settled, torch.zeros_like(number, dtype=torch.bool)]),
             latest=float(new["time"].max()),
@@ -252,6 +260,7 @@ class Stretch:
             self,
             observations=self.observations.select(mask),
             number=self.number[mask],
+            tracklet=self.tracklet[mask],
             label=self.label[mask],
             settled=self.settled[mask],
         )
