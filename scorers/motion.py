@@ -11,7 +11,7 @@ from torch import Tensor
 from mixer_torch.observations import Observations
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.tracking.motion import MotionModel, State, log_ratio
-from mixer_torch.tracking.tracklets import PATH_FEATURES, with_paths
+from mixer_torch.tracking.tracklets import PATH_FEATURES, without_paths
 from scorers.calibration import Logistic
 
 PATIENCE = 0.2  # seconds
@@ -82,8 +82,7 @@ class Motion(Scorer):
     def describe(self, observations: Observations) -> tuple[Tensor, ...]:
         """Times and states of both ends, cameras, and confidences."""
         if any(key not in observations.features for key in PATH_FEATURES):
-            alone = torch.arange(len(observations), device=observations.device)
-            observations = with_paths(observations, alone, self.model)
+            observations = without_paths(observations, self.model)
         camera = observations.features.get("camera", torch.zeros_like(observations.view))
         sure = observations.features.get("confidence", torch.full_like(camera, 1.0).double())
         return (*(observations[key] for key in PATH_FEATURES), camera, sure.double())

@@ -178,6 +178,7 @@ def resolution(
     axis, without the share that is proportional to the height.
     Without three such boxes it is 3 % of the median height.
     """
+    position, height = position.detach(), height.detach()
     before = history(label, time, 2)
     c = (before >= 0).all(1).nonzero()[:, 0]
     b, a = before[c].unbind(1)

@@ -8,7 +8,13 @@ from torch import Tensor
 
 from mixer_torch.observations import Observations
 from mixer_torch.tracking.appearance import APPEARANCE, pooled
-from mixer_torch.tracking.motion import MotionModel, box_position, filtered, resolution
+from mixer_torch.tracking.motion import (
+    MotionModel,
+    box_position,
+    filtered,
+    first_state,
+    resolution,
+)
 
 PATH_FEATURES = ("span", "entry", "exit")
 """Features that tell how something came and went: ``span`` (m, 2), the times of its first and last
@@ -46,6 +52,16 @@ def with_paths(
     ]
     span = torch.stack([time, time], 1)
     return observations.with_features(span=span, entry=states[0], exit=states[1])
+
+
+def without_paths(observations: Observations, model: MotionModel) -> Observations:
+    """The observations with :data:`PATH_FEATURES` that tell of no velocity: each is alone."""
+    position, height = box_position(observations["box"])
+    time = observations["time"].double()
+    alone = torch.arange(len(observations), device=observations.device)
+    blur = measured_resolution(observations, alone, model)
+    state = first_state(position, height, model, blur).packed
+    return observations.with_features(span=torch.stack([time, time], 1), entry=state, exit=state)
 
 
 def measured_resolution(

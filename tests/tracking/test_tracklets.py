@@ -7,7 +7,14 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.tracking.motion import MotionModel
-from mixer_torch.tracking.tracklets import overlapping, successive, summarised, with_paths
+from mixer_torch.tracking.tracklets import (
+    PATH_FEATURES,
+    overlapping,
+    successive,
+    summarised,
+    with_paths,
+    without_paths,
+)
 
 
 def walkers(spans, speed=10.0, camera=None):
@@ -80,3 +87,12 @@ def test_successors_are_what_a_loop_finds():
                 expected.append((a, b))
     assert found == sorted(expected)
     assert found
+
+
+def test_alone_is_a_path_of_one_box():
+    observations, _ = walkers([(0, 3)])
+    alone = torch.arange(4)
+    fitted = with_paths(observations, alone, MotionModel())
+    direct = without_paths(observations, MotionModel())
+    for key in PATH_FEATURES:
+        torch.testing.assert_close(fitted[key], direct[key])
