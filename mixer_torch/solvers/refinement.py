@@ -21,11 +21,11 @@ from mixer_torch.solvers.moves.search import COURSE, ENUMERATED, GAINS, new_cour
 from mixer_torch.solvers.moves.search import RESTARTS as RUN
 
 Progress = Callable[[float], None]
-RESTARTS = 120  # of one part at most
-FULL = 50, 250  # nodes of the smallest and largest parts that get all of these
+RESTARTS = 400  # of one part at most
+FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix
-LARGE_SHARE = 10  # a region of a large part gets this fraction of the restarts
+LARGE_SHARE = 30  # a region of a large part gets this fraction of the restarts
 
 
 class Effort(NamedTuple):
@@ -163,7 +163,7 @@ def _search_small(
 def restarts_of(size: int, restarts: int) -> int:
     """Most restarts of a part: small ones need few, and in large ones each takes long."""
     smallest, largest = FULL
-    return math.ceil(restarts * min(1.0, size / smallest, largest / size))
+    return math.ceil(restarts * min(1.0, size / smallest, (largest / size) ** 2))
 
 
 def _search_large(

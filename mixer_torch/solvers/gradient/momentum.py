@@ -44,6 +44,18 @@ def advance(
         arrays = (assignment, ahead, product, hold, back, keep, forms)
         _advance(*(array.numpy() for array in arrays))
         return assignment, ahead, forms
+    return advance_anywhere(assignment, ahead, product, hold, back, keep)
+
+
+def advance_anywhere(
+    assignment: Float[Tensor, "B m k"],
+    ahead: Float[Tensor, "B m k"],
+    product: Float[Tensor, "B m k"],
+    hold: Float[Tensor, " B"],
+    back: Float[Tensor, " B"],
+    keep: Bool[Tensor, "B m"],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """:func:`advance` in torch alone, on any device; writes to none of its arguments."""
     flat = ahead.flatten(1)
     forms = torch.stack(
         [torch.linalg.vecdot(flat, product.flatten(1)), torch.linalg.vecdot(flat, flat)]

@@ -23,7 +23,8 @@ GAINS = {
     "reheats": REHEATED,
     "disturbances": DISTURBED,
 }
-_RETURNS_EACH = 0.03  # reheats that come back to the best and end a search, a restart
+# reheats that come back to the best and end a search: of few restarts, of many, and between
+_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 2.8
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
@@ -60,7 +61,7 @@ class Moves(NamedTuple):
 def new_course(restarts: int) -> np.ndarray:
     """Where a search starts that is to take so many restarts, or as long as that is worth it."""
     course = np.zeros(COURSE)
-    course[_ENOUGH] = restarts * _RETURNS_EACH
+    course[_ENOUGH] = max(min(restarts * _FEW, _RETURNS_BETWEEN), restarts * _MANY)
     return course
 
 
@@ -70,7 +71,8 @@ def search(weight, token_start, token, label, limit, course, random):  # type: i
 
     A restart reheats a region at random, then disturbs smaller ones for about as long. Where
     reheats keep coming back to the best clustering, it is probably the optimum, and the search
-    ends; where they keep ending above it, they get longer.
+    ends; another clustering of the same cost says nothing. Where they keep ending above it, they
+    get longer.
 
     Args:
         weight: (n, n) symmetric costs, 0 on the diagonal and for pairs that share a token.
@@ -131,8 +133,9 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
         sweeps = np.int64(course[_SWEEPS])
         change = reheat(state, moves.region, count, start, hot * _COLD, sweeps, random)
         change += descend(state, moves, since)
+        if abs(change) > moves.tiny or is_same(state, label):
+            _note_return(course, change, moves.tiny, count / n * start / hot, longest)
         course[REHEATED] += _keep_better(state, label, change)
-        _note_return(course, change, moves.tiny, count / n * start / hot, longest)
         for _ in range(sweeps // _SWEEPS_EACH):
             since = state.number[1]
             change = disturb(state, moves, random)
@@ -155,6 +158,21 @@ def _keep_better(state, label, change):  # type: ignore[no-untyped-def]
     for i in range(len(label)):
         label[i] = state.label[i]
     return change
+
+
+@inner
+def is_same(state, label):  # type: ignore[no-untyped-def]
+    """Whether the clusters are those of the labels, whatever their names."""
+    name, slot = state.listed[0], state.listed[1]
+    for i in range(len(label)):
+        name[state.label[i]] = slot[label[i]] = -1
+    for i in range(len(label)):
+        c = state.label[i]
+        if name[c] < 0 and slot[label[i]] < 0:
+            name[c], slot[label[i]] = label[i], c
+        elif name[c] != label[i] or slot[label[i]] != c:
+            return False
+    return True
 
 
 @inner
