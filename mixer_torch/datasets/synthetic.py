@@ -30,15 +30,13 @@ def synthetic(
     The model, each draw independent of the others:
 
     1. Each object is seen in each view with probability ``visible``; a view in which none would
-       be shows one of them.
-    2. Each view has Poisson(``outliers``) observations of things seen nowhere else.
-    3. Observations come in random order within their view.
-    4. For each pair across views and each modality k, the score is the truth, 1 or 0; flipped
+       be shows one of them. Each view has Poisson(``outliers``) observations of things seen
+       nowhere else. Observations come in random order within their view.
+    2. For each pair across views and each modality k, the score is the truth, 1 or 0; flipped
        with probability ``wrong[k]``; plus a Gaussian of deviation ``noise[k]``, clipped to
        [0, 1]; and 0.5 instead with probability ``inconclusive[k]``.
 
-    The paper (section IV, table I) has 10 objects in partial views with outliers and noise, and
-    10 to 50 observations; it gives no more of its model than that.
+    The paper's (section IV, table I): 10 objects, partial views, outliers, noise, 10 <= m <= 50.
 
     Args:
         objects: Number of objects, the paper's m_u less the outliers.
@@ -49,8 +47,7 @@ def synthetic(
         wrong: Probability; one for all modalities, or one for each.
         inconclusive: Probability; likewise.
         noise: Standard deviation; likewise.
-        seed: Seed, or a generator on the CPU. Draws are made there, so that a seed gives the same
-            problem on every device.
+        seed: Seed, or a generator on the CPU: a seed gives the same problem on every device.
         dtype: Of the scores: float32 or float64. The problem is the same up to rounding.
         device: Of the result.
 
