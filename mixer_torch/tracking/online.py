@@ -17,7 +17,7 @@ from mixer_torch.observations import Images, Observations
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.appearance import with_looks
 from mixer_torch.tracking.base import BaseTracker
-from mixer_torch.tracking.tracker import Tracker
+from mixer_torch.tracking.tracker import Tracker, check
 from mixer_torch.tracking.tracks import Tracks
 
 
@@ -71,7 +71,7 @@ class OnlineTracker(BaseTracker):
     def __init__(
         self,
         tracker: Tracker,
-        window: float = 2.0,
+        window: float = 3.0,
         passes: int = 1,
         memory: int = 30,
         recall: float | None = None,
@@ -105,10 +105,12 @@ class OnlineTracker(BaseTracker):
 
         Raises:
             KeyError: There is no feature ``time`` or ``box``.
-            ValueError: Observations are not later than those that came before.
+            ValueError: Observations are not later than those that came before, or have a box or a
+                time that is not finite.
         """
         if not self._reads_pixels():
             observations = replace(observations, images=None)
+        check(observations)
         stretch = self._stretch or Stretch.empty(observations)
         moments = _moments(observations, stretch)
         number = stretch.came + torch.arange(len(observations), device=observations.device)
@@ -287,8 +289,6 @@ def _held(before: Images | None, new: Images | None) -> Images | None:
 def _moments(observations: Observations, stretch: Stretch) -> Float[Tensor, " f"]:
     """The times of the frames, or a ValueError where they do not follow what came before."""
     moments = torch.unique(observations["time"])
-    if len(moments) and not bool(moments.isfinite().all()):
-        raise ValueError("time: expected finite numbers, got NaN or infinity")
     if len(moments) and float(moments[0]) <= stretch.latest:
         raise ValueError(
             f"observations: expected frames in order of time, after {stretch.latest:g} s, "
