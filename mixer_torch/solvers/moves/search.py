@@ -123,6 +123,7 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
     n = len(label)
     longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
     course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
+    enough = course[_ENOUGH] * max(1.0, (n / _LOCAL) ** 2)  # a large one has more ways to go wrong
     levels = 1
     while n >> levels >= _LOCAL:
         levels += 1
@@ -144,7 +145,7 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
             if change < -moves.tiny:
                 course[_RETURNS] = course[_MISSES] = 0.0
         course[RESTARTS] += 1
-        if course[_RETURNS] >= course[_ENOUGH]:
+        if course[_RETURNS] >= enough:
             return True
     return False
 
