@@ -191,7 +191,7 @@ def speed_figure(rows, path):
         panels, (("ms a frame", "time"), ("MiB", "peak memory of the process")), strict=True
     ):
         axes.set(xscale="log", xlabel="frames of about 50 detections", ylabel=name, title=title)
-        axes.set_xticks(lengths, [f"{length:.0f}" for length in lengths])
+        axes.set_xticks(lengths, [f"{length:.0f}" for length in lengths], fontsize=8)
         axes.xaxis.minorticks_off()
         axes.grid(alpha=0.25, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
