@@ -19,6 +19,8 @@ from mixer_torch.solvers.base import Solver, solve
 from mixer_torch.solvers.mixer import Mixer
 from mixer_torch.tracking.appearance import looks, with_looks
 from mixer_torch.tracking.base import BaseTracker
+from mixer_torch.tracking.camera_motion import CameraMotion
+from mixer_torch.tracking.camera_path import CameraPath
 from mixer_torch.tracking.causal import causal_labels
 from mixer_torch.tracking.ending import interpolated, smoothed, strong
 from mixer_torch.tracking.motion import MotionModel
@@ -77,6 +79,9 @@ class Tracker(BaseTracker):
         fusion: How modalities add up; log odds if None.
         solver: The algorithm of both levels; ``Mixer`` with few restarts if None.
         model: How things move, for the velocities; people walking if None.
+        camera_motion: How the motion of the camera is seen in the pixels, to be taken out: boxes
+            are associated, interpolated and smoothed where they would be had it rested. If None,
+            it is taken to rest.
         patience: Longest time that the causal pass waits for a path to be seen again, seconds;
             0 to begin without labels, and so without velocities.
         passes: Solutions of level one.
@@ -110,6 +115,7 @@ class Tracker(BaseTracker):
         fusion: Fusion | None = None,
         solver: Solver | None = None,
         model: MotionModel | None = None,
+        camera_motion: CameraMotion | None = None,
         patience: float = 0.5,
         passes: int = 2,
         gaps: Sequence[float] = (0.5, 1.0, 2.0, 4.0),
@@ -139,6 +145,7 @@ class Tracker(BaseTracker):
         self.fusion = fusion or LogOddsFusion(cap=8.0)
         self.solver = solver or Mixer(restarts=10)
         self.model = model or MotionModel()
+        self.camera_motion = camera_motion
         self.patience = patience
         self.passes = passes
         self.gaps = tuple(gaps)
@@ -162,10 +169,15 @@ class Tracker(BaseTracker):
         """A label for every observation, weak ones and clutter included.
 
         The objective is that of the last solution of level one. ``stats`` tells how many
-        tracklets it left, and how many clusters there are in the end.
+        tracklets it left, how many clusters there are in the end, and the ``camera_path`` that
+        was taken out, where one was.
         """
         check(observations)
         observations = with_looks(observations, self.appearance)
+        stats: dict[str, Any] = {}
+        if self.camera_motion is not None:
+            stats["camera_path"] = path = self.camera_motion.path(observations, progress)
+            observations = path.stabilised(observations)
         labels = self.begin(observations)
         pairs = self.pairs(observations)
         for _ in range(self.passes):
@@ -175,7 +187,7 @@ class Tracker(BaseTracker):
         for gap in self.gaps:
             labels = self.join(observations, labels, gap, progress=progress)
         count = int(labels.max()) + 1 if len(labels) else 0
-        stats = {**answer.stats, "tracklets": tracklets, "clusters": count}
+        stats |= {**answer.stats, "tracklets": tracklets, "clusters": count}
         return Association(labels, answer.objective, answer.status, stats=stats)
 
     def begin(self, observations: Observations) -> Int64[Tensor, " m"]:
@@ -244,9 +256,19 @@ class Tracker(BaseTracker):
         return by_first_appearance(_labels(joined)[labels])
 
     def finish(self, observations: Observations, association: Association) -> Tracks:
-        """The tracks of objects: weak ones dropped, short gaps filled, boxes smoothed."""
+        """The tracks of objects: weak ones dropped, short gaps filled, boxes smoothed.
+
+        Where the camera's motion is taken out, that is done where boxes rest, on the
+        ``camera_path`` of the association's ``stats`` or on one that is found anew.
+        """
         tracks = Tracks.from_labels(observations, _labels(association))
-        return self.end(tracks, seconds_per_frame(observations))
+        seconds = seconds_per_frame(observations)
+        if self.camera_motion is None:
+            return self.end(tracks, seconds)
+        path = association.stats.get("camera_path")
+        if not isinstance(path, CameraPath):
+            path = self.camera_motion.path(observations)
+        return path.restored(self.end(path.steadied(tracks), seconds))
 
     def end(self, tracks: Tracks, seconds: float) -> Tracks:
         """Drop the weak, fill gaps and smooth, with so many seconds from frame to frame."""
