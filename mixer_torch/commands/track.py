@@ -82,6 +82,7 @@ def track(
     check_folder(out)
     options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
     options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair}
+    options |= {"spread": True}
     jobs = [_read(name, folder, options, video) for name, folder in folders.items()]
     truths, unreadable = _truths(jobs, classes)
     out.mkdir(parents=True, exist_ok=True)

@@ -63,6 +63,8 @@ class MOTChallenge(Dataset):
             :func:`~mixer_torch.datasets.motchallenge_files.read_repaired`), with a warning for
             each kind of line that is left out; if False, such a line is an error. Frames after
             the ``seqLength`` of ``seqinfo.ini`` are left out, unless ``stop`` says otherwise.
+        spread: Also spread the scores of a detector that is seldom sure, so that thresholds of
+            confidence mean the same for all detectors.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class MOTChallenge(Dataset):
         frame_rate: float | None = None,
         truth: bool = True,
         repair: bool = False,
+        spread: bool = False,
     ) -> None:
         if step < 1:
             raise ValueError(f"step: expected 1 or more, got {step}")
@@ -93,6 +96,7 @@ class MOTChallenge(Dataset):
         self.start, self.stop, self.step = start, stop, step
         self.source = source
         self.min_confidence = min_confidence
+        self.spread = spread
         self.min_overlap = min_overlap
         self.classes = tuple(classes)
         self.pixels = pixels
@@ -178,7 +182,7 @@ class MOTChallenge(Dataset):
         else:
             rows, notes = read_table(file)[0], []
         score = rows[:, 6].copy()
-        rows[:, 6] = as_confidence(score)
+        rows[:, 6] = as_confidence(score, self.spread)
         if self.min_confidence is not None:
             rows = rows[score >= self.min_confidence]
         return rows, notes

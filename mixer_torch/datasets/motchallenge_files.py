@@ -22,6 +22,7 @@ UNKNOWN_SCORE = -1.0
 """What the format writes where there is no value."""
 LOGIT_LOW, LOGIT_MIDDLE = 1.386, 3.892
 """Log odds of 0.8 and of 0.98."""
+SURE = 0.9  # median score of a detector that is sure: Faster R-CNN on MOT15 has 0.96 to 0.99
 
 
 @dataclass(frozen=True)
@@ -165,17 +166,23 @@ def read_repaired(
     return rows, notes
 
 
-def as_confidence(score: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def as_confidence(
+    score: Float64[np.ndarray, " n"], spread: bool = False
+) -> Float64[np.ndarray, " n"]:
     """Scores of one detector as values in [0, 1], in the order of the scores.
 
-    Scores that all are in [0, 1] stay as they are. Others have a scale of their own: those of DPM
+    Scores that all are in [0, 1] stay as they are; with ``spread``, only if their median is at
+    least 0.9, as that of detectors is that are sure of what they see. Others have a scale of their own: those of DPM
     (the margin of a support vector machine) may be negative, those of ACF (the sum of a boosted
     classifier) or per cent are tens. They become 1 / (1 + exp(-(a + b score))) with a and b such
     that a tenth of them is below 0.8 and half of them below 0.98. So they are spread as those of
     Faster R-CNN are on MOT15, and a threshold means the same. Scores that all are one number say
     nothing (-1 is "no value" in this format): confidence 1.
     """
-    if not len(score) or (score.min() >= 0 and score.max() <= 1):
+    if not len(score):
+        return score.copy()
+    doubtful = spread and np.median(score) < SURE
+    if score.min() >= 0 and score.max() <= 1 and not doubtful:
         return score.copy()
     low, middle = np.quantile(score, [0.1, 0.5])
     unit = (middle - low) or (score.max() - score.min())

@@ -120,6 +120,16 @@ def test_other_scores_are_spread_as_those_of_networks(scale, shift):
     assert np.median(confidence) == pytest.approx(0.98, abs=1e-3)
 
 
+def test_scores_of_a_detector_that_is_seldom_sure_are_spread_where_that_is_asked_for():
+    score = np.random.default_rng(0).beta(5, 2, 2001)  # a median of 0.73
+    assert (as_confidence(score) == score).all()
+    confidence = as_confidence(score, spread=True)
+    assert np.quantile(confidence, 0.1) == pytest.approx(0.8, abs=1e-3)
+    assert np.median(confidence) == pytest.approx(0.98, abs=1e-3)
+    sure = 0.9 + score / 10
+    assert (as_confidence(sure, spread=True) == sure).all()
+
+
 def test_a_file_that_says_minus_one_for_no_score_is_sure(tmp_path):
     write_detections(tmp_path, "1,-1,1,2,3,4,-1\n2,-1,1,2,3,4,-1\n")
     seen = MOTChallenge(tmp_path, frame_rate=5).load()
