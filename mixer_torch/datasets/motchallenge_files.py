@@ -172,12 +172,12 @@ def as_confidence(
     """Scores of one detector as values in [0, 1], in the order of the scores.
 
     Scores that all are in [0, 1] stay as they are; with ``spread``, only if their median is at
-    least 0.9, as that of detectors is that are sure of what they see. Others have a scale of their own: those of DPM
-    (the margin of a support vector machine) may be negative, those of ACF (the sum of a boosted
-    classifier) or per cent are tens. They become 1 / (1 + exp(-(a + b score))) with a and b such
-    that a tenth of them is below 0.8 and half of them below 0.98. So they are spread as those of
-    Faster R-CNN are on MOT15, and a threshold means the same. Scores that all are one number say
-    nothing (-1 is "no value" in this format): confidence 1.
+    least 0.9, as that of detectors is that are sure of what they see. Others have a scale of their
+    own: those of DPM (the margin of a support vector machine) may be negative, those of ACF (the
+    sum of a boosted classifier) or per cent are tens. They become 1 / (1 + exp(-(a + b score)))
+    with a and b such that a tenth of them is below 0.8 and half of them below 0.98. So they are
+    spread as those of Faster R-CNN are on MOT15, and a threshold means the same. Scores that all
+    are one number say nothing (-1 is "no value" in this format): confidence 1.
     """
     if not len(score):
         return score.copy()
