@@ -15,7 +15,7 @@ from mixer_torch.tracking.camera_path import CameraPath, accumulated, frames_and
 QUALITY = 0.01  # of the weakest corner, as a share of the best one's
 SPACING = 8  # pixels between corners
 FLOW_WINDOW = (21, 21)
-FLOW_LEVELS = 3  # halvings of the picture, for large shifts
+FLOW_LEVELS = 3  # halvings of the picture, in which large motions are small
 LARGEST = 2.0  # ratio of scales from frame to frame, either way, that a camera can have
 MARGIN = 0.1  # by which boxes are widened on each side, as a share of their sides
 
@@ -25,7 +25,8 @@ class CameraMotion:
 
     From each frame in which something was observed to the next such one of the same camera,
     corners outside of the boxes (people move) are followed by the pyramidal optical flow of Lucas
-    and Kanade, in grey pictures scaled down, and the similarity (shift, turn, scale) that most of
+    and Kanade, in grey pictures scaled down, beginning at the shift at which the phases of both
+    pictures correlate best (or else at none), and the similarity (shift, turn, scale) that most of
     them agree with is found by RANSAC and refined on these. Where too few agree, or the picture
     moves by next to nothing, the camera is taken to rest. Steps become positions as
     :func:`~mixer_torch.tracking.camera_path.accumulated` says. The same pixels always give
@@ -149,27 +150,44 @@ class CameraMotion:
         Raises:
             ValueError: They differ in size.
         """
-        import cv2
-
         if not np.array_equal(before.size, after.size):
             raise ValueError(
                 "images: expected frames of one size from a camera, got "
                 f"{before.size.astype(int)} and {after.size.astype(int)} pixels"
             )
-        a, b = followed(before, after, self.corners)
-        if len(a) < self.min_points:
+        corners = resting_corners(before, self.corners)
+        if len(corners) < self.min_points:
             return np.eye(2, 3)
-        unit = float(before.unit.mean())
-        found, agree = cv2.estimateAffinePartial2D(
-            a, b, ransacReprojThreshold=self.tolerance * unit, maxIters=1000, confidence=0.999
-        )
-        if found is None or agree.sum() < max(self.min_points, self.min_share * len(a)):
-            return np.eye(2, 3)
-        if not 1 / LARGEST < np.linalg.norm(found[:, 0]) < LARGEST:
+        found = self._agreed(before, after, corners, whole_shift(before, after))
+        if found is None:
+            found = self._agreed(before, after, corners, np.zeros(2))
+        if found is None:
             return np.eye(2, 3)
         ends = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]]) * [*after.size, 1]
         moved = np.linalg.norm(ends @ (found - np.eye(2, 3)).T, axis=1)
-        return found if moved.max() > self.still * unit else np.eye(2, 3)
+        return found if moved.max() > self.still * before.unit.mean() else np.eye(2, 3)
+
+    def _agreed(
+        self,
+        before: Picture,
+        after: Picture,
+        corners: Float64[np.ndarray, "n 2"],
+        shift: Float64[np.ndarray, " 2"],
+    ) -> Float64[np.ndarray, "2 3"] | None:
+        """The similarity that enough corners agree with, looked for around a shift."""
+        import cv2
+
+        a, b = followed(before, after, corners, shift)
+        if len(a) < self.min_points:
+            return None
+        tolerance = self.tolerance * float(before.unit.mean())
+        found, agree = cv2.estimateAffinePartial2D(
+            a, b, ransacReprojThreshold=tolerance, maxIters=1000, confidence=0.999
+        )
+        if found is None or agree.sum() < max(self.min_points, self.min_share * len(a)):
+            return None
+        scale = np.linalg.norm(found[:, 0])
+        return found if 1 / LARGEST < scale < LARGEST else None
 
 
 @dataclass(frozen=True)
@@ -214,25 +232,56 @@ class Picture:
         return self.size / self.grey.shape[::-1]
 
 
-def followed(
-    before: Picture, after: Picture, count: int
-) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2"]]:
-    """Where corners of one picture are, and where they are in the next, in pixels of the frames.
+def resting_corners(picture: Picture, count: int) -> Float64[np.ndarray, "n 2"]:
+    """The best corners outside of boxes, pixels of the picture, so many at most."""
+    import cv2
 
-    Args:
-        before: Corners outside of its boxes are followed,
-        after: to this one, as far as they are found inside of it.
-        count: How many, at most.
+    found = cv2.goodFeaturesToTrack(picture.grey, count, QUALITY, SPACING, mask=picture.rests)
+    return np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
+
+
+def whole_shift(before: Picture, after: Picture) -> Float64[np.ndarray, " 2"]:
+    """By how much the picture as a whole is shifted, pixels of it, where phases correlate best.
+
+    A shift of up to half of the picture is seen, but no turn, and people count as what rests does.
     """
     import cv2
 
-    a = cv2.goodFeaturesToTrack(before.grey, count, QUALITY, SPACING, mask=before.rests)
-    if a is None:
-        return np.empty((0, 2)), np.empty((0, 2))
-    b, good, _ = cv2.calcOpticalFlowPyrLK(
-        before.grey, after.grey, a, a.copy(), winSize=FLOW_WINDOW, maxLevel=FLOW_LEVELS
+    window = cv2.createHanningWindow(before.grey.shape[::-1], cv2.CV_32F)
+    first, second = (picture.grey.astype(np.float32) for picture in (before, after))
+    shift, _ = cv2.phaseCorrelate(first, second, window)
+    return np.array(shift)
+
+
+def followed(
+    before: Picture,
+    after: Picture,
+    corners: Float64[np.ndarray, "n 2"],
+    shift: Float64[np.ndarray, " 2"],
+) -> tuple[Float64[np.ndarray, "k 2"], Float64[np.ndarray, "k 2"]]:
+    """Where corners of one picture are, and where they are in the next, in pixels of the frames.
+
+    Those that are not found again, or outside of the picture, are left out.
+
+    Args:
+        before: The picture,
+        after: and the next.
+        corners: Of the one before, in pixels of the picture.
+        shift: By which they are first looked for.
+    """
+    import cv2
+
+    found, good, _ = cv2.calcOpticalFlowPyrLK(
+        before.grey,
+        after.grey,
+        corners.astype(np.float32),
+        (corners + shift).astype(np.float32),
+        winSize=FLOW_WINDOW,
+        maxLevel=FLOW_LEVELS,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    a, b = a.reshape(-1, 2).astype(np.float64), b.reshape(-1, 2).astype(np.float64)
-    inside = (b >= 0).all(1) & (b <= np.array(after.grey.shape[::-1]) - 1).all(1)
-    inside &= good.ravel() == 1
-    return tuple((place[inside] + 0.5) * before.unit - 0.5 for place in (a, b))
+    there = np.asarray(found, dtype=np.float64)
+    inside = (there >= 0).all(1) & (there <= np.array(after.grey.shape[::-1]) - 1).all(1)
+    inside &= np.asarray(good).ravel() == 1
+    here, there = ((place[inside] + 0.5) * before.unit - 0.5 for place in (corners, there))
+    return here, there
