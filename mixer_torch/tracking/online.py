@@ -81,6 +81,8 @@ class OnlineTracker(BaseTracker):
         for name, count in (("passes", passes), ("memory", memory)):
             if count < 1:
                 raise ValueError(f"{name}: expected 1 or more, got {count}")
+        if tracker.camera_motion is not None:
+            raise ValueError("tracker: camera_motion is for whole sequences; expected none online")
         if recall is not None and not recall >= 0:
             raise ValueError(f"recall: expected a number of 0 or more, got {recall}")
         self.tracker = tracker

@@ -15,7 +15,7 @@ from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Reachable
 from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.local_search import LocalSearch
-from mixer_torch.tracking import Tracker, Tracks
+from mixer_torch.tracking import CameraMotion, Tracker, Tracks
 from mixer_torch.tracking.online import OnlineTracker
 from mixer_torch.tracking.tracking_metrics import evaluate_tracks
 from scorers import Motion
@@ -215,6 +215,12 @@ def test_time_has_to_be_known():
     seen = crowd(frames=3)
     with pytest.raises(ValueError, match="time: expected finite"):
         online().update(seen.with_features(time=torch.full((len(seen),), math.nan)))
+
+
+def test_the_motion_of_the_camera_is_not_known_online():
+    inner = Tracker([], [], camera_motion=CameraMotion())
+    with pytest.raises(ValueError, match="camera_motion is for whole sequences"):
+        OnlineTracker(inner)
 
 
 def test_features_stay_the_same():

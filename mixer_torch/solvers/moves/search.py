@@ -24,7 +24,7 @@ GAINS = {
     "disturbances": DISTURBED,
 }
 # reheats that come back to the best and end a search: of few restarts, of many, and between
-_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 2.8
+_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 4.0
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
