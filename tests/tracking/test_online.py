@@ -218,7 +218,7 @@ def test_time_has_to_be_known():
 
 
 def test_the_motion_of_the_camera_is_not_known_online():
-    inner = Tracker([], [], camera_motion=CameraMotion())
+    inner = Tracker([Motion()], [Motion()], camera_motion=CameraMotion())
     with pytest.raises(ValueError, match="camera_motion is for whole sequences"):
         OnlineTracker(inner)
 
