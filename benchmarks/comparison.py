@@ -243,6 +243,13 @@ def read(path):
         return [{key: number(value) for key, value in row.items()} for row in csv.DictReader(file)]
 
 
+def tabled(out, table):
+    """Write table.md, made from nothing but the rows.csv in a folder; the text comes back."""
+    text = table(read(out / "rows.csv"))
+    (out / "table.md").write_text(text)
+    return text
+
+
 def number(text):
     try:
         return float(text)

@@ -10,7 +10,7 @@ editing on random graphs.
 
 Each problem is solved by Mixer one at a time and in one batch, by its gradient stage alone, and by
 Exact, whose bound stands in for the optimum where time ran out. Loop 1 writes rows.csv, one row a
-problem; quality.md is made from it alone.
+problem; table.md is made from it alone.
 """
 
 import statistics
@@ -169,9 +169,7 @@ def main(argv=None):
         counts = (20, 2) if arguments.quick else (312, 11)
         rows = run(*counts, arguments.first, arguments.time_limit)
         comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
-    text = table(comparison.read(arguments.out / "rows.csv"))
-    (arguments.out / "quality.md").write_text(text)
-    return text
+    return comparison.tabled(arguments.out, table)
 
 
 if __name__ == "__main__":

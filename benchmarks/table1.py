@@ -10,7 +10,7 @@ its one figure that depends on the noise and not on the machine is MIXER's gap, 
 authors' code, which is not ours). The level called "paper" is mild, noise 0.3 and 5 % of the scores
 wrong: single pairs mislead, the optimum seldom does. "hard" has noise 0.5 and 15 % wrong.
 
-Loop 1 writes rows.csv, one row a trial; table1.md is made from it alone.
+Loop 1 writes rows.csv, one row a trial; table.md is made from it alone.
 """
 
 import statistics
@@ -168,9 +168,7 @@ def main(argv=None):
         size = ((2, 6, 12), 2, 1) if arguments.quick else (VIEWS, arguments.trials, 3)
         rows = run(*size, arguments.time_limit, arguments.naive_limit)
         comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
-    text = table(comparison.read(arguments.out / "rows.csv"))
-    (arguments.out / "table1.md").write_text(text)
-    return text
+    return comparison.tabled(arguments.out, table)
 
 
 if __name__ == "__main__":

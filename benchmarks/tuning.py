@@ -36,9 +36,7 @@ def main(argv=None):
     if not arguments.from_rows:
         rows = run(40 if arguments.quick else 100)
         comparison.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
-    text = table(comparison.read(arguments.out / "rows.csv"))
-    (arguments.out / "table.md").write_text(text)
-    return text
+    return comparison.tabled(arguments.out, table)
 
 
 def table(rows):

@@ -50,7 +50,7 @@ def test_quality_makes_its_table_from_its_rows(tmp_path, monkeypatch):
     assert len(rows) == 3 * 2 + 3
     comparison.write(tmp_path / "rows.csv", quality.COLUMNS, rows)
     text = quality.main(["--out", str(tmp_path), "--from_rows"])
-    assert text == (tmp_path / "quality.md").read_text()
+    assert text == (tmp_path / "table.md").read_text()
     assert "9 problems, 9 answers feasible" in text
     assert "| four modalities | 2 |" in text
 
