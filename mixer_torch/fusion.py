@@ -37,7 +37,8 @@ class Fusion(nn.Module):
                 raise KeyError(
                     f"weights: no modality {name!r}; modalities: {', '.join(modalities)}"
                 )
-        return scores.new_tensor([self.weights.get(name, 1.0) for name in modalities])
+        weights = [self.weights.get(name, 1.0) for name in modalities]
+        return torch.tensor(weights, dtype=scores.dtype).to(scores.device, non_blocking=True)
 
     def forward(
         self, scores: Float[Tensor, "l P"], modalities: Sequence[str]

@@ -17,6 +17,7 @@ from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.fusion import Fusion
 from mixer_torch.observations import distinct_views
 from mixer_torch.solvers.constraints import Reduction, constrain
+from mixer_torch.solvers.transfer import on_devices, on_host, through_host
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,10 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver returns: labels (m,) of any integers, or, if it has none, links (2, Q)."""
+    """What a solver returns: labels (m,) of any integers, or, if it has none, links (2, Q).
+
+    Labels may be on the CPU wherever the problem is.
+    """
 
     status: Status
     labels: Tensor | None = None
@@ -187,15 +191,13 @@ def solve(
     start = time.perf_counter()
     links = {"must_link": must_link, "cannot_link": cannot_link, "indistinct": indistinct}
     wanted = _each(links, None if single else len(affinities))
+    problems = _problems(affinities, fusion)
     posed = [
-        constrain(problem_of(item, fusion), item.view, **each)
-        for item, each in zip(affinities, wanted, strict=True)
+        constrain(problem, item.view, **each)
+        for problem, item, each in zip(problems, affinities, wanted, strict=True)
     ]
-    solutions = _run(solver, [reduction.problem for _, reduction in posed], single, bound)
-    answers = [
-        _association(problem, reduction, solution)
-        for (problem, reduction), solution in zip(posed, solutions, strict=True)
-    ]
+    solutions = list(_run(solver, [reduction.problem for _, reduction in posed], single, bound))
+    answers = _associations(posed, solutions)
     seconds = (time.perf_counter() - start) / max(len(answers), 1)
     for answer in answers:
         answer.stats.setdefault("seconds", seconds)  # type: ignore[attr-defined]
@@ -245,39 +247,85 @@ def _run(
 
 def problem_of(affinity: Affinity, fusion: Fusion | None = None) -> Problem:
     """The combinatorial problem that an affinity poses under a fusion."""
+    return _problems([affinity], fusion)[0]
+
+
+def _problems(affinities: Sequence[Affinity], fusion: Fusion | None) -> list[Problem]:
+    """The problem of each affinity; however many there are, the host waits for a device once."""
+    views = through_host(distinct_views, [affinity.view for affinity in affinities])
+    problems = []
     with torch.no_grad():
-        cost = affinity.cost(fusion)
-        mean = affinity.scores.mean(0)
-    return Problem(affinity.pairs, cost, distinct_views(affinity.view), mean)
+        for affinity, view in zip(affinities, views, strict=True):
+            cost, mean = affinity.cost(fusion), affinity.scores.mean(0)
+            problems.append(Problem(affinity.pairs, cost, view, mean))
+    return problems
 
 
-def _association(problem: Problem, reduction: Reduction, solution: Solution) -> Association:
-    if solution.labels is not None and len(solution.labels) != len(reduction.problem):
-        raise RuntimeError(
-            f"the solver returned {len(solution.labels)} labels for {len(reduction.problem)}"
-        )
-    solution = reduction.expand(solution)
-    stats = dict(solution.stats)
-    if solution.labels is None:
-        if solution.links is None:
+def _associations(
+    posed: Sequence[tuple[Problem, Reduction]], solutions: Sequence[Solution]
+) -> list[Association]:
+    """The checked answers to problems, from solutions of their reductions.
+
+    Without constraints, the host waits for a device as often for many problems as for one.
+    """
+    solutions = _expanded([reduction for _, reduction in posed], solutions)
+    labels = _renumbered([problem for problem, _ in posed], solutions)
+    objectives = []
+    for i, ((problem, reduction), solution) in enumerate(zip(posed, solutions, strict=True)):
+        if i in labels:
+            if broken := reduction.broken(labels[i]):
+                raise RuntimeError(f"the solver broke {broken}")
+            objectives.append(_cost_inside(problem, labels[i]))
+        elif solution.links is not None:
+            objectives.append(_cost_of_links(problem, solution.links))
+        else:
             raise RuntimeError("the solver returned neither labels nor links")
-        objective = _cost_of_links(problem, solution.links)
-        return Association(
-            None, objective, solution.status, solution.lower_bound, stats, solution.links
-        )
-    labels = by_first_appearance(solution.labels.to(problem.view.device))
-    if not is_distinct(labels, problem.view):
-        raise RuntimeError("the solver put two observations of one view into one cluster")
-    if broken := reduction.broken(labels):
-        raise RuntimeError(f"the solver broke {broken}")
-    objective = objective_of(problem, labels)
-    return Association(labels, objective, solution.status, solution.lower_bound, stats)
+    answers = []
+    for i, (solution, objective) in enumerate(zip(solutions, on_host(objectives), strict=True)):
+        links = None if i in labels else solution.links
+        reached = float(objective), solution.status, solution.lower_bound, dict(solution.stats)
+        answers.append(Association(labels.get(i), *reached, links))
+    return answers
+
+
+def _expanded(reductions: Sequence[Reduction], solutions: Sequence[Solution]) -> list[Solution]:
+    """Solutions of reduced problems, told for all observations, where the problems are."""
+    given = {i: s.labels for i, s in enumerate(solutions) if s.labels is not None}
+    for i, label in given.items():
+        if len(label) != len(reductions[i].problem):
+            raise RuntimeError(
+                f"the solver returned {len(label)} labels for {len(reductions[i].problem)}"
+            )
+    devices = [reductions[i].group.device for i in given]
+    there = dict(zip(given, on_devices(list(given.values()), devices), strict=True))
+    return [
+        reduction.expand(replace(solution, labels=there.get(i)))
+        for i, (reduction, solution) in enumerate(zip(reductions, solutions, strict=True))
+    ]
+
+
+def _renumbered(
+    problems: Sequence[Problem], solutions: Sequence[Solution]
+) -> dict[int, Int64[Tensor, " m"]]:
+    """By problem, labels in order of first appearance, where there are any and views stay apart."""
+    given = {i: s.labels for i, s in enumerate(solutions) if s.labels is not None}
+    views = [problems[i].view for i in given]
+    host = on_host([*given.values(), *views])
+    labels = [by_first_appearance(label) for label in host[: len(given)]]
+    for label, view in zip(labels, host[len(given) :], strict=True):
+        if not is_distinct(label, view):
+            raise RuntimeError("the solver put two observations of one view into one cluster")
+    there = on_devices(labels, [view.device for view in views])
+    return dict(zip(given, there, strict=True))
 
 
 def objective_of(problem: Problem, labels: Int64[Tensor, " m"]) -> float:
     """Sum of the cost over the pairs inside clusters, in float64."""
-    together = labels[problem.pairs[0]] == labels[problem.pairs[1]]
-    return float(problem.cost[together].double().sum())
+    return float(_cost_inside(problem, labels))
+
+
+def _cost_inside(problem: Problem, labels: Int64[Tensor, " m"]) -> Float[Tensor, ""]:
+    return _sum_of(problem.cost, labels[problem.pairs[0]] == labels[problem.pairs[1]])
 
 
 def is_distinct(labels: Int64[Tensor, " m"], view: Int64[Tensor, " m"]) -> bool:
@@ -288,7 +336,14 @@ def is_distinct(labels: Int64[Tensor, " m"], view: Int64[Tensor, " m"]) -> bool:
     return len(torch.unique(key)) == len(key)
 
 
-def _cost_of_links(problem: Problem, links: Tensor) -> float:
+def _cost_of_links(problem: Problem, links: Tensor) -> Float[Tensor, ""]:
     m = len(problem)
     listed = torch.isin(problem.pairs[0] * m + problem.pairs[1], links[0] * m + links[1])
-    return float(problem.cost[listed].double().sum())
+    return _sum_of(problem.cost, listed)
+
+
+def _sum_of(cost: Tensor, chosen: Tensor) -> Float[Tensor, ""]:
+    """In float64. On a device nothing is picked: the host would wait to learn how much it is."""
+    if cost.device.type == "cpu":
+        return cost[chosen].double().sum()
+    return torch.where(chosen, cost, 0).sum(dtype=torch.float64)

@@ -51,6 +51,8 @@ class Reduction:
 
     def broken(self, labels: Int64[Tensor, " m"]) -> str | None:
         """Which must-link or cannot-link pair labels break; None if they honour all."""
+        if len(self.problem) == len(self.group) and not self.apart.shape[1]:
+            return None  # there are none, and to look would make the host wait for a device
         first = torch.zeros_like(self.group)
         place = torch.arange(len(self.group), device=self.group.device)
         first = first.scatter_reduce(0, self.group, place, "amin", include_self=False)

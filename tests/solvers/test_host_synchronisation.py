@@ -1,65 +1,185 @@
-"""The gradient stage on tensors that have no values: to look at one from the host is an error.
+"""The solver where the scores are on a device: nothing is mixed up, and the host hardly ever waits.
 
-The path for devices other than the CPU is taken, so this holds on a GPU, where such a look would
-wait until the device has caught up.
+The device is pretended (``pretended_device.py``): it holds everywhere that operations do not mix
+devices, that the path for devices gives what the CPU's gives, and how often the host has to wait.
 """
 
 import pytest
 import torch
+from pretended_device import DEVICE, Generator, PretendedDevice
 
+import mixer_torch as mx
+from mixer_torch.datasets.synthetic import synthetic
+from mixer_torch.solvers import relaxation
 from mixer_torch.solvers.gradient import annealing, descent
 from mixer_torch.solvers.gradient.batch import Batch
-from mixer_torch.solvers.gradient.momentum import advance, advance_anywhere
+from mixer_torch.solvers.gradient.momentum import advance
 from mixer_torch.solvers.gradient.projection import project_rows
+from mixer_torch.solvers.gradient.stage import GradientStage
+from mixer_torch.solvers.mixer import Mixer
 
 SHAPE = 3, 12, 5
+LARGE = annealing.SMALL + 2  # observations, for Lanczos' method
 
 
 @pytest.fixture
-def without_values(monkeypatch):
-    """A batch on the device "meta"; only draws of random numbers are replaced, it has none."""
-
-    def first(batch, columns, seed):
-        return project_rows(batch.cost[..., :columns].clone(), batch.mask)
-
-    monkeypatch.setattr(annealing, "_first", first)
-    b, m, _ = SHAPE
-    cost, apart = torch.empty(2, b, m, m, device="meta")
-    return Batch(cost, apart, torch.ones(b, m, dtype=torch.bool, device="meta"))
+def device(monkeypatch):
+    monkeypatch.setattr(torch, "Generator", Generator)
+    with PretendedDevice() as device:
+        yield device
 
 
-def test_values_cannot_be_looked_at(without_values):
-    for look in (lambda x: x.item(), lambda x: bool(x.any()), lambda x: x[x > 0]):
-        with pytest.raises((RuntimeError, NotImplementedError)):
-            look(without_values.cost.sum((1, 2)))
+def batch(problems=SHAPE[0], m=SHAPE[1], seed=0, device="cpu"):
+    generator = torch.Generator().manual_seed(seed)
+    cost = 2 * torch.rand(problems, m, m, generator=generator) - 1
+    view = torch.arange(m) // 4
+    mask = torch.arange(m) < m - torch.arange(problems)[:, None]
+    real = mask[:, :, None] & mask[:, None, :]
+    apart = (relaxation.distinctness_matrix(view) * real).to(device)
+    cost = ((cost + cost.mT) * real).to(device) * (1 - apart)
+    return Batch(cost - torch.diag_embed(cost.diagonal(dim1=1, dim2=2)), apart, mask.to(device))
 
 
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_annealing_never_looks(without_values, precision):
-    result = annealing.anneal(without_values, SHAPE[2], precision=precision)
-    assert result.assignment.shape == SHAPE
-    assert result.assignment.device.type == "meta"
-    assert result.history.shape == (100, 3)
+def rows(seed=0, shape=SHAPE):
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed))
 
 
-def test_the_schedule_of_the_paper_looks_every_tenth_step(without_values, monkeypatch):
-    generator = torch.Generator()
-    monkeypatch.setattr(torch, "Generator", lambda device: generator)
-    start = without_values.cost[..., : SHAPE[2]]
-    with pytest.raises((RuntimeError, NotImplementedError)):
-        descent.descend(without_values, start, max_iterations=descent.CHECK_EVERY)
-    result = descent.descend(without_values, start, max_iterations=descent.CHECK_EVERY - 1)
-    assert result.assignment.shape == SHAPE
+LOOKS = {
+    "_local_scalar_dense": lambda x: x.sum().item(),
+    "is_nonzero": lambda x: bool((x > 0).any()),
+    "equal": lambda x: torch.equal(x, x),
+    "nonzero": lambda x: (x > 0).nonzero(),
+    "_unique2": lambda x: torch.unique(x),
+    "index by a mask": lambda x: x[x > 0],
+    "index from the host": lambda x: x[torch.tensor([0])],
+    "to the host": lambda x: x.cpu(),
+    "to the device": lambda x: x + torch.ones(3).to(x.device),
+    "where with a number on the host": lambda x: torch.where(x > 0, x, torch.tensor(1.0)),
+    "_linalg_eigh": lambda x: torch.linalg.eigvalsh(x[:, None] * x),
+}
 
 
-def test_both_paths_of_a_step_do_the_same():
-    generator = torch.Generator().manual_seed(0)
-    assignment, ahead, product = torch.rand(3, *SHAPE, generator=generator)
-    hold, back = torch.rand(2, SHAPE[0], generator=generator)
-    keep = torch.rand(SHAPE[:2], generator=generator) > 0.2
-    assignment, ahead = (project_rows(x, keep) for x in (assignment, ahead))
-    arguments = product, hold, -back, keep
-    expected = advance_anywhere(assignment.clone(), ahead.clone(), *arguments)
-    found = advance(assignment.clone(), ahead.clone(), *arguments)
-    for one, other in zip(found, expected, strict=True):
-        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+@pytest.mark.parametrize("name", LOOKS)
+def test_the_pretended_device_sees_the_host_wait(device, name):
+    x = torch.arange(3.0).to(DEVICE)
+    device.waits.clear()
+    LOOKS[name](x)
+    found = set(device.waits)
+    assert found == ({"_local_scalar_dense"} if name == "is_nonzero" else {name})
+
+
+def test_the_pretended_device_lets_nothing_be_mixed(device):
+    x = torch.arange(3.0).to(DEVICE)
+    device.waits.clear()
+    for mix in (lambda: x + torch.ones(3), lambda: torch.ones(2, 3) @ x, lambda: x.add_(rows()[0])):
+        with pytest.raises(RuntimeError, match="all tensors on one device"):
+            mix()
+    with pytest.raises(RuntimeError, match="by a copy"):
+        torch.tensor([1.0], device=DEVICE) + x
+    assert (2 * x + torch.tensor(1.0)).value.tolist() == [1, 3, 5]
+    x[1:] = 7
+    x.mul_(2)
+    assert torch.add(x, 1, out=torch.empty_like(x)).value.tolist() == [1, 15, 15]
+    assert not device.waits
+
+
+def test_the_host_waits_for_no_step_of_annealing(device):
+    for m, precision in ((12, "float32"), (12, "bfloat16"), (12, "tf32"), (LARGE, "float32")):
+        there = batch(m=m, device=DEVICE)
+        device.waits.clear()
+        result = annealing.anneal(there, SHAPE[2], precision=precision)
+        assert device.waits == {"_linalg_eigh": 1}
+        assert result.history.shape == (100, SHAPE[0])
+        assert {x.device for x in vars(result).values()} == {DEVICE}
+
+
+def test_the_host_waits_once_for_a_block_of_the_paper_s_schedule(device):
+    there, start = batch(device=DEVICE), rows().to(DEVICE)
+    device.waits.clear()
+    result = descent.descend(there, start, max_iterations=1000)
+    blocks, rest = divmod(len(result.history), descent.BLOCK)
+    assert rest == 0
+    assert 1 < blocks < 100
+    assert device.waits == {"_local_scalar_dense": blocks}
+    device.waits.clear()
+    short = descent.descend(there, start, max_iterations=descent.BLOCK - 1)
+    assert not device.waits
+    torch.testing.assert_close(short.history.value, result.history.value[: descent.BLOCK - 1])
+
+
+@pytest.mark.parametrize("m", [12, LARGE])
+def test_annealing_gives_what_the_cpu_gives(device, m):
+    expected = annealing.anneal(batch(m=m), SHAPE[2], iterations=20)
+    found = annealing.anneal(batch(m=m, device=DEVICE), SHAPE[2], iterations=20)
+    for name, value in vars(expected).items():
+        torch.testing.assert_close(getattr(found, name).value, value, atol=2e-4, rtol=2e-4)
+
+
+def test_the_paper_s_schedule_gives_what_the_cpu_gives(device):
+    arguments = {"max_iterations": 20, "projection": "row_sum_at_most_one"}
+    expected = descent.descend(batch(), rows(), **arguments)
+    found = descent.descend(batch(device=DEVICE), rows().to(DEVICE), **arguments)
+    for name, value in vars(expected).items():
+        torch.testing.assert_close(getattr(found, name).value, value, atol=1e-4, rtol=1e-4)
+
+
+def test_both_paths_of_a_step_do_the_same(device):
+    keep = rows(3, SHAPE[:2]) > 0.2
+    hold, back = rows(4, (2, SHAPE[0]))
+    assignment, ahead = (project_rows(rows(seed), keep) for seed in (0, 1))
+    arguments = assignment, ahead, rows(2), hold, -back, keep
+    there = [x.to(DEVICE) for x in arguments]
+    device.waits.clear()
+    found = advance(*there)
+    loose = project_rows(there[2], there[5], there[3] > hold.median())
+    assert not device.waits
+    for one, other in zip(found, advance(*arguments), strict=True):
+        torch.testing.assert_close(one.value, other, atol=1e-5, rtol=1e-5)
+    at_most = hold > hold.median()
+    torch.testing.assert_close(loose.value, project_rows(rows(2), keep, at_most))
+
+
+def test_the_relaxed_problem_makes_nobody_wait(device):
+    there = batch(device=DEVICE)
+    assignment, penalty = rows().to(DEVICE), rows(1, SHAPE[:1]).to(DEVICE)
+    device.waits.clear()
+    matrices = there.cost, there.distinctness
+    assert relaxation.relaxed_objective(assignment, *matrices, penalty).shape == (3,)
+    assert relaxation.relaxed_gradient(assignment, *matrices, penalty).shape == SHAPE
+    assert relaxation.is_binary(assignment).device == DEVICE
+    assert not device.waits
+
+
+SETTINGS = [
+    {"refine": False, "schedule": "anneal"},
+    {"refine": False, "max_iterations": 100},
+    {"refine": False, "max_iterations": 10},  # ends before it is binary
+]
+
+
+@pytest.mark.parametrize("arguments", SETTINGS, ids=str)
+def test_the_host_waits_as_often_for_many_problems_as_for_few(device, arguments):
+    scene = {"objects": 4, "views": 4, "visible": 1.0, "wrong": 0.02, "noise": 0.1}
+    waits = {}
+    for count in (4, 32):
+        affinities = [synthetic(seed=seed, **scene)[0] for seed in range(count)]
+        there = [affinity.to(DEVICE) for affinity in affinities]
+        device.waits.clear()
+        found = mx.solve(there, Mixer(**arguments))
+        waits[count] = dict(device.waits)
+        waits[count].pop("_local_scalar_dense", None)  # one a block, and problems differ in those
+        for own, expected in zip(found, mx.solve(affinities, Mixer(**arguments)), strict=True):
+            assert own.labels.device == DEVICE
+            assert torch.equal(own.labels.value, expected.labels)
+            assert own.objective == pytest.approx(expected.objective, abs=1e-4)
+    assert waits[4] == waits[32]
+    assert waits[4]["to the host"] <= 9
+
+
+def test_the_two_schedules_after_one_another_look_once_where_to_go_on(device):
+    stage = GradientStage("anneal", "simplex", 120, 0, "float32")
+    there = Batch(*(torch.cat([x, x]) for x in vars(batch(device=DEVICE)).values()))
+    device.waits.clear()
+    stage.descend(there, 4)
+    assert device.waits.pop("nonzero") == 1
+    assert set(device.waits) <= {"_linalg_eigh", "_local_scalar_dense"}

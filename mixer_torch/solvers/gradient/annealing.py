@@ -60,7 +60,8 @@ def anneal(
     cost = cost / scale[:, None, None]
     curvature, weight = _sweep(iterations)
     step = _steps(curvature, weight, high / scale, batch.distinctness.sum(2).amax(1))
-    hold = (1 + torch.tensor(curvature).to(step)[:, None] * step).unbind()
+    c = torch.tensor(curvature).to(step, non_blocking=True)[:, None]
+    hold = (1 + c * step).unbind()
     back = (-step).unbind()
     assignment = _first(batch, columns, seed)
     ahead, matrix = assignment.clone(), torch.empty_like(cost)
@@ -73,7 +74,7 @@ def anneal(
             assignment, ahead, form = advance(assignment, ahead, product, hold[t], back[t], keep)
             forms.append(form)
     pair_cost, square = torch.stack(forms).unbind(1)
-    concave = torch.tensor(curvature).to(square)[:, None] * (batch.mask.sum(1) - square)
+    concave = c * (batch.mask.sum(1) - square)
     count = torch.full_like(scale, iterations, dtype=torch.int64)
     penalty = torch.full_like(scale, DISTINCTNESS[-1])
     return Descent(assignment, count, penalty, (pair_cost + concave) * scale)
@@ -97,8 +98,8 @@ def _steps(
     The eigenvalues of Ā / |λ| + w P_d − c I lie between −1 − w − c, as P_d is a union of cliques
     for which no eigenvalue is below −1, and high + w crowd − c.
     """
-    c, w = (torch.tensor(list_, dtype=high.dtype) for list_ in (curvature, weight))
-    c, w = (value.to(high.device)[:, None] for value in (c, w))
+    both = torch.tensor([curvature, weight], dtype=high.dtype)
+    c, w = both.to(high.device, non_blocking=True)[..., None]
     bound = torch.maximum((high + w * crowd - c).abs(), 1 + w + c)
     return RELAXATION / bound
 

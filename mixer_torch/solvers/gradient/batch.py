@@ -63,7 +63,7 @@ class Batch:
         )  # fmt: skip
         mask = torch.arange(m) < torch.from_numpy(size)[:, None]
         arrays = torch.from_numpy(cost), torch.from_numpy(apart), mask
-        return cls(*(array.to(like.device) for array in arrays))
+        return cls(*(array.to(like.device, non_blocking=True) for array in arrays))
 
     def __len__(self) -> int:
         """B, the number of problems."""
@@ -87,7 +87,7 @@ class Descent:
     history: Float[Tensor, "T B"]
 
 
-def continued(first: Descent, chosen: Bool[Tensor, " B"], then: Descent) -> Descent:
+def continued(first: Descent, chosen: Int64[Tensor, " C"], then: Descent) -> Descent:
     """A descent that some problems of its batch went on with; the others keep what they had."""
     assignment = first.assignment.clone()
     assignment[chosen] = then.assignment

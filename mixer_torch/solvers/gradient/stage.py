@@ -13,6 +13,7 @@ from mixer_torch.solvers.gradient.annealing import anneal
 from mixer_torch.solvers.gradient.batch import Batch, Descent, continued
 from mixer_torch.solvers.gradient.descent import descend
 from mixer_torch.solvers.gradient.rounding import binary_labels, nearest_labels
+from mixer_torch.solvers.transfer import on_host
 
 ANNEALING = 100  # iterations
 
@@ -22,7 +23,7 @@ class Relaxed:
     """What the gradient stage made of one problem.
 
     Args:
-        labels: Feasible.
+        labels: Feasible, on the CPU.
         binary: Whether U was binary and feasible, so that nothing had to be rounded.
         iterations: Steps.
         penalty: The last coefficient of the penalties, relative to the scale of the costs.
@@ -59,18 +60,16 @@ class GradientStage:
         """Solve the problems of a batch, with at most so many clusters in each."""
         result = self.descend(batch, columns)
         labels, binary = binary_labels(result.assignment, batch)
-        history = (result.history.double().T / 2).tolist()
-        size = batch.mask.sum(1).tolist()
-        numbers = zip(
-            binary.tolist(), result.iterations.tolist(), result.penalty.tolist(), strict=True
-        )
+        history = result.history.double().T / 2
+        numbers = batch.mask.sum(1), binary, result.iterations, result.penalty, history
+        labels, *host = on_host([labels, *numbers])
+        all_numbers = zip(*(array.tolist() for array in host), strict=True)
+        rough = (~host[1]).nonzero()[:, 0].tolist()
+        rounded = _rounded(result.assignment, batch, host[0], rough)
         answers = []
-        for i, (whole, iterations, penalty) in enumerate(numbers):
-            label = labels[i, : size[i]]
-            if not whole:
-                apart = batch.distinctness[i, : size[i], : size[i]] > 0
-                label = nearest_labels(result.assignment[i, : size[i]], apart)
-            answers.append(Relaxed(label, whole, iterations, penalty, history[i][:iterations]))
+        for i, (size, whole, iterations, penalty, values) in enumerate(all_numbers):
+            label = labels[i, :size] if whole else rounded[i]
+            answers.append(Relaxed(label, whole, iterations, penalty, values[:iterations]))
         return answers
 
     def descend(self, batch: Batch, columns: int) -> Descent:
@@ -83,8 +82,10 @@ class GradientStage:
             batch, columns, iterations=iterations, seed=self.seed, precision=self.precision
         )
         left = self.max_iterations - iterations
-        open_ = ~binary_labels(result.assignment, batch)[1]
-        if not left or not bool(open_.any()):
+        if not left:
+            return result
+        open_ = (~binary_labels(result.assignment, batch)[1]).nonzero()[:, 0]
+        if not len(open_):
             return result
         rest = Batch(batch.cost[open_], batch.distinctness[open_], batch.mask[open_])
         finish = self._penalised(rest, result.assignment[open_], "simplex", left)
@@ -92,6 +93,18 @@ class GradientStage:
 
     def _penalised(self, batch: Batch, start: Tensor, projection: str, limit: int) -> Descent:
         return descend(batch, start, projection=projection, max_iterations=limit, seed=self.seed)
+
+
+def _rounded(
+    assignment: Tensor, batch: Batch, size: Tensor, chosen: list[int]
+) -> dict[int, Int64[Tensor, " m"]]:
+    """The nearest feasible labels of some problems of the batch, found on the host."""
+    rows = [slice(int(size[i])) for i in chosen]
+    matrices = [assignment[i, row] for i, row in zip(chosen, rows, strict=True)]
+    apart = [batch.distinctness[i, row, row] > 0 for i, row in zip(chosen, rows, strict=True)]
+    host = on_host([*matrices, *apart])
+    pairs = zip(host[: len(chosen)], host[len(chosen) :], strict=True)
+    return {i: nearest_labels(*pair) for i, pair in zip(chosen, pairs, strict=True)}
 
 
 def spectral_start(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:
