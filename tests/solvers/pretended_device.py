@@ -44,6 +44,9 @@ class There(torch.Tensor):
     def __init__(self, value):
         self.value = value
 
+    def tolist(self):
+        return self.cpu().tolist()
+
     @classmethod
     def __torch_dispatch__(cls, func, types, args=(), kwargs=None):
         raise RuntimeError(f"{func} on the pretended device, but it is not switched on")
@@ -52,12 +55,13 @@ class There(torch.Tensor):
 class PretendedDevice(TorchDispatchMode):
     """While it is on, tensors can be on the device "meta" and have values.
 
-    ``waits`` counts what makes the host wait, by name; ``moved`` the bytes to and from the host.
+    ``waits`` counts what makes the host wait, by name; ``moved`` the bytes to and from the host;
+    ``unsteady`` what need not give the same again on CUDA (:func:`is_unsteady`).
     """
 
     def __init__(self):
         super().__init__()
-        self.waits, self.moved = Counter(), Counter()
+        self.waits, self.moved, self.unsteady = Counter(), Counter(), Counter()
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         kwargs = dict(kwargs or {})
@@ -76,6 +80,8 @@ class PretendedDevice(TorchDispatchMode):
         if name == "_to_copy":
             kwargs.pop("non_blocking", None)
         host = tree_map(lambda x: x.value if isinstance(x, There) else x, (args, kwargs))
+        if is_unsteady(func, *host):
+            self.unsteady[name] += 1
         result = func(*host[0], **host[1])
         if name == "copy_" or func._schema.is_mutable:
             return _changed(func, args, kwargs, result)
@@ -121,6 +127,35 @@ def _changed(func, args, kwargs, result):
     if isinstance(result, torch.Tensor):
         return written[0]
     return tuple(written) if result is not None else None
+
+
+def is_unsteady(func, args, kwargs):
+    """Whether an operation may give one result now and another the next time, on CUDA.
+
+    As documented with ``torch.use_deterministic_algorithms``: numbers that are added in the order
+    in which threads come by, or written to one place more than once. ``cumsum`` is of them only for
+    a single row, which is divided among thread blocks (pytorch issue 75240); of more rows, each is
+    added up by one.
+    """
+    name = func._schema.name.removeprefix("aten::").rstrip("_").removesuffix("_impl")
+    first = args[0] if args and isinstance(args[0], torch.Tensor) else None
+    if name in {"scatter_add", "index_add", "index_reduce", "put", "histc"}:
+        return first.is_floating_point() or name == "put"
+    if name in {"median", "nanmedian", "kthvalue"}:
+        return True
+    if name == "scatter_reduce":
+        return first.is_floating_point() and args[4] in ("sum", "mean", "prod")
+    if name == "bincount":
+        return len(args) > 1 and args[1] is not None
+    if name == "cumsum":
+        return first.is_floating_point() and first.numel() == first.shape[args[1]] > 1
+    if name.removeprefix("_") == "index_put":
+        indices = [x for x in args[1] if x is not None]
+        if any(x.dtype == torch.bool for x in indices):
+            return False
+        places = torch.stack(torch.broadcast_tensors(*indices)).flatten(1)
+        return len(torch.unique(places, dim=1).T) < len(places.T)
+    return False
 
 
 class Generator(torch.Generator):

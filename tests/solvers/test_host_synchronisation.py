@@ -27,6 +27,7 @@ def device(monkeypatch):
     monkeypatch.setattr(torch, "Generator", Generator)
     with PretendedDevice() as device:
         yield device
+    assert not device.unsteady
 
 
 def batch(problems=SHAPE[0], m=SHAPE[1], seed=0, device="cpu"):
@@ -81,6 +82,34 @@ def test_the_pretended_device_lets_nothing_be_mixed(device):
     x.mul_(2)
     assert torch.add(x, 1, out=torch.empty_like(x)).value.tolist() == [1, 15, 15]
     assert not device.waits
+
+
+UNSTEADY = {
+    "scatter_add": lambda x, i: x.scatter_add(0, i, x),
+    "index_add_": lambda x, i: x.clone().index_add_(0, i, x),
+    "scatter_reduce": lambda x, i: x.scatter_reduce(0, i, x, "mean"),
+    "nanmedian": lambda x, i: x.nanmedian(0),
+    "cumsum": lambda x, i: x.cumsum(0),
+    "bincount": lambda x, i: torch.bincount(i, x),
+    "index_put_": lambda x, i: x.clone().index_put_((i,), x),
+}
+
+
+@pytest.mark.parametrize("name", UNSTEADY)
+def test_the_pretended_device_knows_what_may_differ_the_next_time(name):
+    steady = (
+        lambda x, i: x.scatter_reduce(0, i, x, "amin"),
+        lambda x, i: x.expand(2, 3).cumsum(1),
+        lambda x, i: torch.bincount(i),
+        lambda x, i: x.clone().index_put_((torch.arange(3).to(DEVICE),), x),
+    )
+    with PretendedDevice() as device:
+        arguments = torch.arange(3.0).to(DEVICE), torch.tensor([0, 1, 1]).to(DEVICE)
+        for operation in steady:
+            operation(*arguments)
+        assert not device.unsteady
+        UNSTEADY[name](*arguments)
+        assert device.unsteady == {name: 1}
 
 
 def test_the_host_waits_for_no_step_of_annealing(device):
@@ -183,3 +212,30 @@ def test_the_two_schedules_after_one_another_look_once_where_to_go_on(device):
     stage.descend(there, 4)
     assert device.waits.pop("nonzero") == 1
     assert set(device.waits) <= {"_linalg_eigh", "_local_scalar_dense"}
+
+
+@pytest.mark.cuda
+def test_a_gpu_waits_for_no_step(monkeypatch):
+    there, start = batch(device="cuda"), rows().to("cuda")
+    found = annealing.extreme_eigenvalues(there.cost)
+    monkeypatch.setattr(annealing, "extreme_eigenvalues", lambda cost, seed: found)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        with pytest.raises(RuntimeError, match="synchroniz"):
+            start.sum().item()
+        for precision in ("float32", "tf32", "bfloat16"):
+            annealing.anneal(there, SHAPE[2], precision=precision)
+        descent.descend(there, start, max_iterations=descent.BLOCK - 1)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.cuda
+def test_a_gpu_gives_what_the_cpu_gives():
+    expected = annealing.anneal(batch(), SHAPE[2], iterations=20)
+    found = annealing.anneal(batch(device="cuda"), SHAPE[2], iterations=20)
+    again = annealing.anneal(batch(device="cuda"), SHAPE[2], iterations=20)
+    for name in ("iterations", "penalty"):
+        assert torch.equal(getattr(found, name).cpu(), getattr(expected, name))
+    assert torch.equal(found.assignment, again.assignment)
+    assert torch.equal(found.history, again.history)

@@ -6,6 +6,7 @@ import pkgutil
 
 import pytest
 import torch
+from pretended_device import DEVICE, Generator, PretendedDevice
 
 import mixer_torch as mx
 import mixer_torch.solvers
@@ -160,6 +161,19 @@ def test_a_list_is_solved_in_order(solver):
     associations = mx.solve(affinities, solver())
     for affinity, association in zip(affinities, associations, strict=True):
         check(affinity, association)
+
+
+@every_solver
+def test_scores_on_a_device_give_labels_there(solver, monkeypatch):
+    monkeypatch.setattr(torch, "Generator", Generator)
+    affinity, _ = scene(modalities=2, wrong=0.02, noise=0.1)
+    expected = mx.solve(affinity, solver())
+    with PretendedDevice() as device:
+        found = mx.solve(affinity.to(DEVICE), solver())
+        assert found.links.device == DEVICE
+        assert torch.equal(found.links.cpu(), expected.links)
+    assert found.objective == pytest.approx(expected.objective, abs=1e-4)
+    assert not device.unsteady
 
 
 @every_solver
