@@ -141,8 +141,8 @@ def is_unsteady(func, args, kwargs):
     first = args[0] if args and isinstance(args[0], torch.Tensor) else None
     if name in {"scatter_add", "index_add", "index_reduce", "put", "histc"}:
         return first.is_floating_point() or name == "put"
-    if name in {"median", "nanmedian", "kthvalue"}:
-        return True
+    if name in {"median", "nanmedian"}:
+        return "dim" in func._overloadname  # then it tells the places, too
     if name == "scatter_reduce":
         return first.is_floating_point() and args[4] in ("sum", "mean", "prod")
     if name == "bincount":

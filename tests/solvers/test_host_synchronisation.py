@@ -144,6 +144,24 @@ def test_annealing_gives_what_the_cpu_gives(device, m):
         torch.testing.assert_close(getattr(found, name).value, value, atol=2e-4, rtol=2e-4)
 
 
+@pytest.mark.parametrize("chosen", ["none", "ieee", "tf32"])
+def test_what_the_user_chose_for_products_is_left_alone(chosen):
+    products = torch.backends.cuda.matmul
+    if not hasattr(products, "fp32_precision"):
+        pytest.skip("this torch has one switch only")
+    before, inside = products.fp32_precision, []
+    try:
+        products.fp32_precision = chosen
+        for precision in ("float32", "tf32", "bfloat16"):
+            with annealing._allowed_tf32(precision):
+                inside.append(products.fp32_precision)
+            assert products.fp32_precision == chosen
+            annealing.anneal(batch(), SHAPE[2], iterations=3, precision=precision)
+    finally:
+        products.fp32_precision = before
+    assert inside == [chosen, "tf32", chosen]
+
+
 def test_the_paper_s_schedule_gives_what_the_cpu_gives(device):
     arguments = {"max_iterations": 20, "projection": "row_sum_at_most_one"}
     expected = descent.descend(batch(), rows(), **arguments)

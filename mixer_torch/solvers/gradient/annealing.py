@@ -153,12 +153,20 @@ def _products(precision: str) -> Any:
 
 @contextmanager
 def _allowed_tf32(precision: str) -> Iterator[None]:
-    """TF32 for the products inside, where it was asked for; torch has no switch for one product."""
-    before = torch.backends.cuda.matmul.allow_tf32
-    if precision == "tf32":
-        torch.backends.cuda.matmul.allow_tf32 = True
+    """TF32 for the products inside, where it was asked for; torch has no switch for one product.
+
+    Since 2.9 torch has two names for its switch, and to look at one is an error where the other is
+    in use: the newer one can always be looked at.
+    """
+    if precision != "tf32":
+        yield
+        return
+    products: Any = torch.backends.cuda.matmul
+    newer = hasattr(products, "fp32_precision")
+    name, on = ("fp32_precision", "tf32") if newer else ("allow_tf32", True)
+    before = getattr(products, name)
+    setattr(products, name, on)
     try:
         yield
     finally:
-        if precision == "tf32":
-            torch.backends.cuda.matmul.allow_tf32 = before
+        setattr(products, name, before)
