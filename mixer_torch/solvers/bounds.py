@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -42,18 +43,23 @@ def lower_bound(
     if not time_limit >= 0:
         raise ValueError(f"time_limit: expected seconds >= 0, got {time_limit}")
     problem = problem_of(problem, fusion) if isinstance(problem, Affinity) else problem
-    start = time.perf_counter()
+    deadline = time.perf_counter() + time_limit
     graph = graph_of(problem)
     parts = decompose(graph)
+    members = np.split(parts.order, parts.start[1:-1])
+    return bound_of_parts([induced(graph, own) for own in members if len(own) > 1], deadline)
+
+
+def bound_of_parts(parts: Iterable[Graph], deadline: float) -> float:
+    """Lower bound of several parts together; those of more than BLOCK nodes are split."""
     blocks, total = [], 0.0
-    for p in np.flatnonzero(np.diff(parts.start) > 1):
-        part = induced(graph, parts.order[parts.start[p] : parts.start[p + 1]])
+    for part in parts:
         pieces, between = split(part, BLOCK)
         blocks += pieces
         total += between
     work = np.array([float(len(block)) ** 2 for block in blocks])
     for i, block in sorted(enumerate(blocks), key=lambda item: len(item[1])):
-        left = max(start + time_limit - time.perf_counter(), 0.0)
+        left = max(deadline - time.perf_counter(), 0.0)
         share = left * work[i] / work[work >= work[i]].sum()
         work[i] = 0.0 if share == 0 else work[i]
         total += bound_of(block, time.perf_counter() + share)

@@ -157,7 +157,7 @@ def _check(group: Tensor, must: Tensor, cannot: Tensor, view: Tensor) -> None:
             f"{_chain(must, len(view), a, b)}"
         )
     seen = (view >= 0).nonzero()[:, 0]
-    key = group[seen] * (int(view.max()) + 1) + view[seen]
+    key = group[seen] * len(view) + torch.unique(view[seen], return_inverse=True)[1]
     key, order = torch.sort(key, stable=True)
     twice = (key[1:] == key[:-1]).nonzero()
     if len(twice):
@@ -217,9 +217,20 @@ def _shared_tokens(problem: Problem, group: Tensor, cannot: Tensor) -> Int64[Ten
 
 
 def _conflicting(tokens: Tensor, low: Tensor, high: Tensor, count: int) -> Bool[Tensor, " P"]:
-    """Which of the pairs of nodes have a token in common."""
-    node, token = tokens[:, torch.argsort(tokens[1], stable=True)].cpu()
-    matrix = coo_array(([1] * len(node), (node.numpy(), token.numpy()))).tocsr()
-    both = (matrix @ matrix.T).tocoo()
-    clash = torch.as_tensor(both.row.astype("int64") * count + both.col).to(low.device)
-    return torch.isin(low * count + high, clash)
+    """Which of the pairs of nodes have a token in common.
+
+    The tokens of the end that has fewer are looked up at the other end: as many steps as there are
+    pairs, whatever the size of the views.
+    """
+    node, token = tokens[:, torch.argsort(tokens[0], stable=True)]
+    size = torch.bincount(node, minlength=count)
+    few = torch.where(size[low] <= size[high], low, high)
+    which = torch.repeat_interleave(torch.arange(len(few), device=few.device), size[few])
+    begin = torch.cumsum(size[few], 0) - size[few]
+    entry = (torch.cumsum(size, 0) - size)[few][which] - begin[which]
+    entry += torch.arange(len(which), device=few.device)
+    width = int(token.max()) + 1
+    common = torch.isin((low + high - few)[which] * width + token[entry], node * width + token)
+    clash = torch.zeros_like(low, dtype=torch.bool)
+    clash[which[common]] = True
+    return clash

@@ -9,10 +9,14 @@ import torch
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.bounds import BLOCK, bound_of_parts
 from mixer_torch.solvers.moves.decomposition import cut_along, decompose
+from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.parsimony import without_idle_links
-from mixer_torch.solvers.proof.branching import BranchAndCut
+from mixer_torch.solvers.proof.branching import PROVEN, BranchAndCut, Proof
 from mixer_torch.solvers.proof.parts import graph_of, induced
+
+SHORTEST = 1e-3  # seconds for the start, where the time limit is none
 
 
 class Exact(Solver):
@@ -26,10 +30,15 @@ class Exact(Solver):
     linear relaxation breaks; reduced costs against the best known clustering decide most pairs;
     what is left is branched on, lowest bound first.
 
+    A part of more than 1000 nodes has too many pairs for a program over them. It keeps the answer
+    that it starts with, and is bounded block by block, as
+    :func:`~mixer_torch.solvers.bounds.lower_bound` bounds it.
+
     Args:
         time_limit: Seconds after which the best clustering comes back with status ``TIME_LIMIT``
             and the bound proven so far.
-        start: Solver whose answer the search starts from; ``Mixer()`` if None.
+        start: Solver whose answer the search starts from; if None ``Mixer()``, which has half of
+            the time at most.
 
     Optimal means: no clustering is better by more than 1e-7 of the largest cost.
     """
@@ -52,7 +61,7 @@ class Exact(Solver):
         for p in np.argsort(np.diff(parts.start), kind="stable"):
             members = parts.order[parts.start[p] : parts.start[p + 1]]
             part = induced(graph, members)
-            proof = BranchAndCut(part, labels[members], deadline).run()
+            proof = prove(part, labels[members], deadline)
             labels[members] = len(labels) * (1 + p) + proof.labels
             proofs.append(proof)
         bound = min(sum(proof.bound for proof in proofs), graph.objective(labels))
@@ -74,9 +83,19 @@ class Exact(Solver):
     def _warm_start(self, problem: Problem) -> np.ndarray:
         from mixer_torch.solvers.mixer import Mixer
 
-        start = Mixer() if self.start is None else self.start
+        limit = max(self.time_limit / 2, SHORTEST)
+        start = Mixer(time_limit=limit) if self.start is None else self.start
         alone = np.arange(len(problem))
         if problem.tokens is not None and not start.takes_tokens:
             return alone
         labels = start.run(problem).labels
         return alone if labels is None else labels.cpu().numpy()
+
+
+def prove(part: Graph, labels: np.ndarray, deadline: float) -> Proof:
+    """The best labels of one part and a bound: by branch and cut, where it is not too large."""
+    if len(part) <= BLOCK:
+        return BranchAndCut(part, labels, deadline).run()
+    objective, bound = part.objective(labels), bound_of_parts([part], deadline)
+    proven = bound >= objective - PROVEN * float(np.abs(part.cost).max())
+    return Proof(labels, min(bound, objective), proven, nodes=0, cuts=0)

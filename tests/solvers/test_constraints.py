@@ -1,12 +1,14 @@
 """Must-link, cannot-link and waived distinctness: against enumeration; contradictions."""
 
+import time
+
 import numpy as np
 import pytest
 import torch
 from enumeration import optimum
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import Solution, Solver, problem_of
+from mixer_torch.solvers.base import Problem, Solution, Solver, problem_of
 from mixer_torch.solvers.constraints import constrain
 
 
@@ -164,3 +166,48 @@ def test_a_batch_of_random_problems_with_random_constraints_is_honoured():
     cannot = [rng.choice(15, (2, 3), replace=False) for _ in affinities]
     for answer, pairs in zip(mx.solve(affinities, cannot_link=cannot), cannot, strict=True):
         assert (answer.labels[pairs[0]] != answer.labels[pairs[1]]).all()
+
+
+def test_pairs_of_groups_with_a_token_in_common_are_dropped_and_no_others():
+    rng = np.random.default_rng(10)
+    for _ in range(30):
+        m = int(rng.integers(6, 12))
+        view = rng.integers(-1, 4, m)
+        affinity = affinity_of(rng, view)
+        ends = rng.permutation(m)[:4].reshape(2, 2)
+        cannot = rng.choice(m, (2, 2), replace=False)
+        try:
+            _, reduction = constrain(problem_of(affinity), affinity.view, ends, cannot)
+        except ValueError:
+            continue
+        has = [set() for _ in range(len(reduction.problem))]
+        for i, group in enumerate(reduction.group.tolist()):
+            own = {("view", int(view[i]))} if view[i] >= 0 else set()
+            has[group] |= own | {("pair", k) for k in range(2) if i in cannot[:, k]}
+        ends = reduction.group[affinity.pairs]
+        low, high = ends.min(0).values.tolist(), ends.max(0).values.tolist()
+        free = {(a, b) for a, b in zip(low, high, strict=True) if a != b and not has[a] & has[b]}
+        assert free == {(int(a), int(b)) for a, b in reduction.problem.pairs.T}
+
+
+def test_large_views_cost_no_more_than_small_ones():
+    """A matrix of which nodes share a view would have 200 million entries."""
+    m = 20_000
+    first = torch.arange(m // 2)
+    pairs = torch.stack([first, m // 2 + first])
+    view = (torch.arange(m) >= m // 2).long()
+    problem = Problem(pairs, torch.rand(m // 2), view, torch.full((m // 2,), 0.5))
+    start = time.perf_counter()
+    _, reduction = constrain(problem, view, must_link=[[0], [m - 1]])
+    assert time.perf_counter() - start < 2
+    assert reduction.problem.pairs.shape[1] == m // 2 - 2
+
+
+def test_views_may_be_any_numbers():
+    """Such as times in nanoseconds, or the largest there are."""
+    view = np.array([2**62 - 1, 2**62 - 1, 5, 5, 2**63 - 1, 2**63 - 1])
+    affinity = affinity_of(np.random.default_rng(11), view)
+    answer = mx.solve(affinity, must_link=[[0, 1], [2, 4]])
+    assert answer.labels[0] == answer.labels[2] != answer.labels[1]
+    with pytest.raises(ValueError, match="which are both of view 9223372036854775807"):
+        mx.solve(affinity, must_link=[[4, 0], [0, 5]])

@@ -151,3 +151,30 @@ def test_costs_that_are_multiples_of_a_number_are_told():
 def test_arguments_are_checked():
     with pytest.raises(ValueError, match="time_limit: expected seconds >= 0, got -1"):
         Exact(time_limit=-1)
+
+
+def test_a_part_too_large_for_a_program_is_bounded_within_the_time():
+    """Two thousand nodes in a ring that all attract: one part, and too many pairs for a matrix."""
+    m = 2000
+    first = torch.arange(m)
+    pairs = torch.stack([first, (first + 1) % m]).sort(0).values
+    cost = torch.full((m,), -1.0)
+    problem = Problem(pairs, cost, torch.arange(m), torch.full_like(cost, 0.5))
+    start = time.perf_counter()
+    solution = Exact(time_limit=5).run(problem)
+    assert time.perf_counter() - start < 10
+    assert solution.status is mx.Status.OPTIMAL
+    assert objective_of(problem, solution.labels) == -m
+    assert solution.lower_bound == pytest.approx(-m)
+
+
+def test_the_start_and_the_search_keep_to_the_time_limit():
+    cost = torch.randn(200 * 199 // 2, generator=torch.Generator().manual_seed(0))
+    pairs = torch.triu_indices(200, 200, 1)
+    problem = Problem(pairs, cost, torch.arange(200), torch.full_like(cost, 0.5))
+    Exact(time_limit=0.1).run(problem)  # compiled, whatever that takes
+    start = time.perf_counter()
+    solution = Exact(time_limit=1).run(problem)
+    assert time.perf_counter() - start < 2.5
+    assert objective_of(problem, solution.labels) < 0
+    assert solution.lower_bound < objective_of(problem, solution.labels)

@@ -191,7 +191,8 @@ class BranchAndCut:
         )
         rounding = Graph.from_arrays(len(x), index, 0.5 - x[index[0], index[1]], tokens)
         labels = refine(rounding, restarts=0)[0]
-        labels = refine(self.graph, labels, restarts=len(x), seed=self.nodes)[0]
+        left = max(self.deadline - time.perf_counter(), 0.0)
+        labels = refine(self.graph, labels, restarts=len(x), seed=self.nodes, time_limit=left)[0]
         objective = self.graph.objective(labels) / self.scale
         if objective < self.objective:
             self.labels, self.objective = labels, objective
