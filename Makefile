@@ -7,7 +7,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # trackeval asks for the OpenCV with windows, which would overwrite the one without: it uses neither.
 TRACKEVAL := $(INSTALL) --no-deps trackeval pycocotools tabulate
 
-.PHONY: demo test lint peers clean
+.PHONY: demo test lint gpu peers clean
 
 demo: .venv/installed
 	$(BIN)/mixer demo
@@ -19,6 +19,12 @@ lint: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# What needs a GPU: the tests marked so, and the rows of benchmarks/scaling.py. It installs nothing;
+# with another Python than that of `make test`: make gpu BIN=FOLDER_OF_THAT_PYTHON.
+gpu:
+	$(BIN)/python -m pytest -n0 -m cuda
+	$(BIN)/python -m mixer_torch.benchmarks.scaling --device cuda --out out/benchmarks/scaling_gpu
 
 # The trackers that benchmarks/tracking.py compares with; they, too, ask for the other OpenCV.
 peers: .venv/installed

@@ -274,14 +274,14 @@ def spread(rows, key):
     return statistics.stdev(row[key] for row in rows) if len(rows) > 1 else 0.0
 
 
-def arguments(module, argv, quick, **numbers):
-    """Arguments of a benchmark: --out, --quick, --from_rows, and whole numbers with a default.
+def arguments(module, argv, quick, **values):
+    """Arguments of a benchmark: --out, --quick, --from_rows, and values with a default.
 
     Args:
         module: Its file, which names its folder, and its docstring.
         argv: What was given; that of the process if None.
         quick: What --quick does.
-        numbers: (default, help) by name.
+        values: (default, help) by name, of the type of the default.
     """
     path, text = module
     parser = argparse.ArgumentParser(
@@ -291,8 +291,8 @@ def arguments(module, argv, quick, **numbers):
     parser.add_argument("--out", type=Path, default=folder)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--from_rows", action="store_true", help="only make tables and figures")
-    for name, (default, help_) in numbers.items():
-        parser.add_argument(f"--{name}", type=int, default=default, help=help_)
+    for name, (default, help_) in values.items():
+        parser.add_argument(f"--{name}", type=type(default), default=default, help=help_)
     return parser.parse_args(argv)
 
 

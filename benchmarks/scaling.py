@@ -11,9 +11,11 @@ The peer on the same input is greedy contraction alone (GAEC), and followed by K
 joins (KLj): kernighan_lin.py, which shares no code with the solver. Dense problems are drawn with
 three seeds, the others with one.
 Peak memory is that of the process, less what it held before the problem was solved, without the
-input; on CUDA that of the device. The largest step of the first series is profiled.
+input; on CUDA that of the device. The largest step of the first series is profiled. Where there is
+a GPU all of it is solved there, too, which leaves the peer out.
 
     mixer bench scaling --out out/benchmarks/scaling
+    python -m mixer_torch.benchmarks.scaling --device cuda --out out/benchmarks/scaling_gpu
 """
 
 import cProfile
@@ -149,17 +151,24 @@ def timed(device, function):
 
 def step(series, size, seed, device):
     """One row, or two of the batch; runs in a process of its own."""
-    warm = video(6)
-    mx.solve([warm, dense(60)])  # kernels are compiled or loaded
-    peer(warm)
+    warm = [video(6), dense(60)]
+    mx.solve([affinity.to(device) for affinity in warm])  # kernels are compiled or loaded
+    if device == "cpu":
+        peer(warm[0])
     if series == "batch":
         return batch_rows(size, device)
     affinity = (video if series == "degree" else dense)(size, seed)
     there = affinity.to(device)
     answer, seconds, peak = timed(device, lambda: mx.solve(there))
-    row = {"series": series, "seed": seed, "device": device, "m": len(affinity), "problems": 1}
-    row |= {"pairs": affinity.pairs.shape[1], "seconds": seconds, "peak_mib": peak}
-    return [row | {"objective": answer.objective} | peer(affinity)]
+    row = {"series": series, "seed": seed, "device": name_of(device), "m": len(affinity)}
+    row |= {"pairs": affinity.pairs.shape[1], "seconds": seconds, "peak_mib": peak, "problems": 1}
+    row["objective"] = answer.objective
+    return [row | peer(affinity) if device == "cpu" else row]
+
+
+def name_of(device):
+    """The CPU is "cpu"; a GPU has the name that its maker gave it."""
+    return device if device == "cpu" else torch.cuda.get_device_name()
 
 
 def peer(affinity):
@@ -183,10 +192,11 @@ def peer(affinity):
 def batch_rows(count, device):
     """Many small problems together, and each by itself."""
     affinities = small(count)
-    row = {"device": device, "seed": 0, "problems": count, "m": sum(map(len, affinities))}
+    row = {"device": name_of(device), "seed": 0, "problems": count, "m": sum(map(len, affinities))}
     row["pairs"] = sum(affinity.pairs.shape[1] for affinity in affinities)
-    peers = [peer(affinity) for affinity in affinities]
-    row |= {column: sum(own[column] for own in peers) for column in PEER_COLUMNS}
+    if device == "cpu":
+        peers = [peer(affinity) for affinity in affinities]
+        row |= {column: sum(own[column] for own in peers) for column in PEER_COLUMNS}
     there = [affinity.to(device) for affinity in affinities]
     ways = {
         "batch": lambda: mx.solve(there),
@@ -216,8 +226,7 @@ def profile(frames):
     return "\n".join([f"m = {len(affinity)}", "   total      own    calls", *shown, ""])
 
 
-def run(quick):
-    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+def run(quick, devices):
     steps = [
         *(("degree", frames, 0) for frames in (FRAMES[:3] if quick else FRAMES)),
         *(
@@ -236,11 +245,15 @@ def run(quick):
 
 
 def main(argv=None):
-    arguments = comparison.arguments((__file__, __doc__), argv, "small sizes only")
+    device = ("", "cpu or cuda; the CPU, and the GPU where there is one, if not given")
+    arguments = comparison.arguments((__file__, __doc__), argv, "small sizes only", device=device)
     if not arguments.from_rows:
-        comparison.write(arguments.out / "rows.csv", COLUMNS, run(arguments.quick))
+        there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+        devices = [arguments.device] if arguments.device else there
+        comparison.write(arguments.out / "rows.csv", COLUMNS, run(arguments.quick, devices))
         frames = FRAMES[2] if arguments.quick else FRAMES[-1]
-        (arguments.out / "profile.txt").write_text(profile(frames))
+        if "cpu" in devices:
+            (arguments.out / "profile.txt").write_text(profile(frames))
     rows = comparison.read(arguments.out / "rows.csv")
     text = table(rows)
     (arguments.out / "table.md").write_text(text)
@@ -260,11 +273,16 @@ def table(rows):
             f"| {row['series']} | {row['device']} | {row['seed']:.0f} | {row['m']:.0f} "
             f"| {row['pairs']:.0f} "
             f"| {row['seconds']:.3f} | {each:.2f} | {row['peak_mib']:.0f} "
-            f"| {row['objective']:.2f} | {row['objective_greedy']:.2f} "
-            f"| {row['seconds_greedy']:.3f} | {row['objective_klj']:.2f} "
-            f"| {row['seconds_klj']:.3f} |"
+            f"| {row['objective']:.2f} | {shown(row['objective_greedy'], 2)} "
+            f"| {shown(row['seconds_greedy'], 3)} | {shown(row['objective_klj'], 2)} "
+            f"| {shown(row['seconds_klj'], 3)} |"
         )
     return "\n".join([*lines, "", f"{comparison.machine()}.", ""])
+
+
+def shown(value, digits):
+    """A number, or a dash where nothing was measured."""
+    return "-" if value == "" else f"{value:.{digits}f}"
 
 
 def plot(rows, path):
