@@ -22,7 +22,7 @@ BLOCK = 1000  # nodes whose pairs are held as a full matrix
 
 
 def lower_bound(
-    problem: Problem | Affinity, *, time_limit: float = 60.0, fusion: Fusion | None = None
+    problem: Problem | Affinity, *, time_limit: float = 50.0, fusion: Fusion | None = None
 ) -> float:
     """A number that no clustering's objective is below.
 
@@ -34,7 +34,8 @@ def lower_bound(
 
     Args:
         problem: The problem, or the affinity that poses it.
-        time_limit: Seconds. The longer the tighter, until nothing is gained any more.
+        time_limit: Seconds. The longer the tighter, until nothing is gained any more. With the
+            default, solving and bounding 500 observations takes less than a minute.
         fusion: How modalities add up, where an affinity is given.
 
     Raises:

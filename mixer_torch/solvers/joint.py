@@ -172,7 +172,7 @@ class Joint:
         label = otherwise + len(self.graph)
         for part, relaxed in found.items():
             nodes = self.parts.order[self.parts.start[part] : self.parts.start[part + 1]]
-            own = np.unique(relaxed.labels.cpu().numpy(), return_inverse=True)[1]
+            own = np.unique(relaxed.labels.numpy(), return_inverse=True)[1]
             label[nodes] = nodes[own]
         return label
 
@@ -207,13 +207,11 @@ def solve_side_by_side(
     progress(1.0)
     stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
     solutions = []
-    for b, (problem, stats) in enumerate(
-        zip(problems, _stats(joint, found, stages, courses), strict=True)
-    ):
+    for b, stats in enumerate(_stats(joint, found, stages, courses)):
         own = torch.from_numpy(label[joint.start[b] : joint.start[b + 1]])
         status = Status.CONVERGED if stats["binary_without_rounding"] else Status.ROUNDED
         status = Status.TIME_LIMIT if timed_out else status
-        solutions.append(Solution(status, own.to(problem.view.device), stats=stats))
+        solutions.append(Solution(status, own, stats=stats))
     return solutions
 
 

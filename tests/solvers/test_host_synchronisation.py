@@ -198,6 +198,7 @@ def test_the_relaxed_problem_makes_nobody_wait(device):
 
 
 SETTINGS = [
+    {},
     {"refine": False, "schedule": "anneal"},
     {"refine": False, "max_iterations": 100},
     {"refine": False, "max_iterations": 10},  # ends before it is binary

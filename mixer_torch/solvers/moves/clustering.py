@@ -19,15 +19,15 @@ class Clustering(NamedTuple):
         label: (n,) slot of each node.
         total: (k, n) cost of each node to all of the members of a slot.
         size: (k,) members.
-        head: (k,) first member of a slot, -1 if empty; with
-        after: (n,) and
-        before: (n,) the members are a doubly linked list.
+        after: (n + k,) and
+        before: (n + k,) the members of each slot as a ring; entry n + c stands for slot c in it.
         slot: (k,) the slots, those in use first.
         place: (k,) where in ``slot`` each one is.
         holder: (k, T) which member carries a token, -1 if none does.
         stamp: (k,) when each slot last changed.
         number: (2,) slots in use; the clock.
         listed: (2, k) scratch: slots that are gone through while slots change.
+        value: (k,) scratch: of the slots in use, and an empty one.
     """
 
     weight: np.ndarray
@@ -36,7 +36,6 @@ class Clustering(NamedTuple):
     label: np.ndarray
     total: np.ndarray
     size: np.ndarray
-    head: np.ndarray
     after: np.ndarray
     before: np.ndarray
     slot: np.ndarray
@@ -45,6 +44,7 @@ class Clustering(NamedTuple):
     stamp: np.ndarray
     number: np.ndarray
     listed: np.ndarray
+    value: np.ndarray
 
 
 @compiled
@@ -61,15 +61,15 @@ def build(weight, token_start, token, label):  # type: ignore[no-untyped-def]
         np.empty(n, np.int64),
         np.empty((n + 1, n)),
         np.empty(n + 1, np.int64),
-        np.empty(n + 1, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
+        np.empty(2 * n + 1, np.int64),
+        np.empty(2 * n + 1, np.int64),
         np.empty(n + 1, np.int64),
         np.empty(n + 1, np.int64),
         np.empty((n + 1, tokens), np.int64),
         np.empty(n + 1, np.int64),
         np.empty(2, np.int64),
         np.empty((2, n + 1), np.int64),
+        np.empty(n + 1),
     )
     _fill(state, label)
     return state
@@ -81,7 +81,7 @@ def _fill(state, label):  # type: ignore[no-untyped-def]
     n, tokens = state.total.shape[1], state.holder.shape[1]
     for c in range(n + 1):
         state.size[c] = state.stamp[c] = 0
-        state.head[c] = -1
+        state.after[n + c] = state.before[n + c] = n + c
         state.slot[c] = state.place[c] = c
         for i in range(n):
             state.total[c, i] = 0.0
@@ -95,23 +95,8 @@ def _fill(state, label):  # type: ignore[no-untyped-def]
 @inner
 def enter(state, i, c):  # type: ignore[no-untyped-def]
     """Node i, which is in no slot, joins slot c."""
-    if state.size[c] == 0:
-        _swap_place(state, c, state.number[0])
-        state.number[0] += 1
-    state.size[c] += 1
-    state.label[i] = c
-    first = state.head[c]
-    state.after[i] = first
-    state.before[i] = -1
-    if first >= 0:
-        state.before[first] = i
-    state.head[c] = i
-    for j in range(len(state.label)):
-        state.total[c, j] += state.weight[i, j]
-    for e in range(state.token_start[i], state.token_start[i + 1]):
-        state.holder[c, state.token[e]] = i
-    state.number[1] += 1
-    state.stamp[c] = state.number[1]
+    _link(state, i, c)
+    _add_row(state.total, c, state.weight, i)
 
 
 @inner
@@ -122,13 +107,73 @@ def leave(state, i):  # type: ignore[no-untyped-def]
     in may have taken the token over already.
     """
     c = state.label[i]
-    ahead, behind = state.before[i], state.after[i]
-    if ahead >= 0:
-        state.after[ahead] = behind
+    _unlink(state, i, c)
+    if state.size[c] > 0:
+        _subtract_row(state.total, c, state.weight, i)
+
+
+@inner
+def move(state, i, c):  # type: ignore[no-untyped-def]
+    """Node i goes to slot c."""
+    own = state.label[i]
+    _unlink(state, i, own)
+    _link(state, i, c)
+    if state.size[own] > 0:
+        _shift_row(state.total, own, c, state.weight, i)
     else:
-        state.head[c] = behind
-    if behind >= 0:
-        state.before[behind] = ahead
+        _add_row(state.total, c, state.weight, i)
+
+
+@inner
+def trade(state, i, j):  # type: ignore[no-untyped-def]
+    """Nodes i and j, of two slots, take each other's place."""
+    own, c = state.label[i], state.label[j]
+    state.label[i], state.label[j] = c, own
+    _replace(state, i, j)
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        state.holder[own, state.token[e]] = -1
+    for e in range(state.token_start[j], state.token_start[j + 1]):
+        state.holder[c, state.token[e]] = -1
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        state.holder[c, state.token[e]] = i
+    for e in range(state.token_start[j], state.token_start[j + 1]):
+        state.holder[own, state.token[e]] = j
+    state.number[1] += 1
+    state.stamp[own] = state.stamp[c] = state.number[1]
+    _trade_rows(state.total, own, c, state.weight, i, j)
+
+
+@inner
+def _replace(state, i, j):  # type: ignore[no-untyped-def]
+    """Exchange the places of i and j in the rings of two slots."""
+    ahead, behind = state.before[i], state.after[i]
+    state.after[state.before[j]] = state.before[state.after[j]] = i
+    state.before[i], state.after[i] = state.before[j], state.after[j]
+    state.after[ahead] = state.before[behind] = j
+    state.before[j], state.after[j] = ahead, behind
+
+
+@inner
+def _link(state, i, c):  # type: ignore[no-untyped-def]
+    if state.size[c] == 0:
+        _swap_place(state, c, state.number[0])
+        state.number[0] += 1
+    state.size[c] += 1
+    state.label[i] = c
+    slot = len(state.label) + c
+    first = state.after[slot]
+    state.after[i], state.before[i] = first, slot
+    state.after[slot] = state.before[first] = i
+    for e in range(state.token_start[i], state.token_start[i + 1]):
+        state.holder[c, state.token[e]] = i
+    state.number[1] += 1
+    state.stamp[c] = state.number[1]
+
+
+@inner
+def _unlink(state, i, c):  # type: ignore[no-untyped-def]
+    ahead, behind = state.before[i], state.after[i]
+    state.after[ahead], state.before[behind] = behind, ahead
     for e in range(state.token_start[i], state.token_start[i + 1]):
         if state.holder[c, state.token[e]] == i:
             state.holder[c, state.token[e]] = -1
@@ -136,13 +181,47 @@ def leave(state, i):  # type: ignore[no-untyped-def]
     state.number[1] += 1
     state.stamp[c] = state.number[1]
     if state.size[c] == 0:
-        for j in range(len(state.label)):
-            state.total[c, j] = 0.0
+        state.total[c] = 0.0
         state.number[0] -= 1
         _swap_place(state, c, state.number[0])
-    else:
-        for j in range(len(state.label)):
-            state.total[c, j] -= state.weight[i, j]
+
+
+# Rows are added where the rest of the state is out of sight: so the compiler sees that they do not
+# overlap with it, and takes several entries at a time.
+
+
+@inner
+def _add_row(total, c, weight, i):  # type: ignore[no-untyped-def]
+    for j in range(total.shape[1]):
+        total[c, j] += weight[i, j]
+
+
+@inner
+def _subtract_row(total, c, weight, i):  # type: ignore[no-untyped-def]
+    for j in range(total.shape[1]):
+        total[c, j] -= weight[i, j]
+
+
+@inner
+def _shift_row(total, own, c, weight, i):  # type: ignore[no-untyped-def]
+    for j in range(total.shape[1]):
+        value = weight[i, j]
+        total[own, j] -= value
+        total[c, j] += value
+
+
+@inner
+def _trade_rows(total, own, c, weight, i, k):  # type: ignore[no-untyped-def]
+    for j in range(total.shape[1]):
+        value = weight[i, j] - weight[k, j]
+        total[own, j] -= value
+        total[c, j] += value
+
+
+@inner
+def first_of(state, c):  # type: ignore[no-untyped-def]
+    """The first member of slot c; ``state.after`` has the others, up to the end at n or more."""
+    return state.after[len(state.label) + c]
 
 
 @inner
@@ -158,13 +237,6 @@ def list_slots(state, listed):  # type: ignore[no-untyped-def]
     for p in range(state.number[0]):
         listed[p] = state.slot[p]
     return state.number[0]
-
-
-@inner
-def move(state, i, c):  # type: ignore[no-untyped-def]
-    """Node i goes to slot c."""
-    leave(state, i)
-    enter(state, i, c)
 
 
 @inner
@@ -235,16 +307,16 @@ def merge(state, since, tiny):  # type: ignore[no-untyped-def]
                 if cost < best and _compatible(state, c, other):
                     best, target = cost, other
         if target >= 0:
-            while state.head[c] >= 0:
-                move(state, state.head[c], target)
+            while state.size[c] > 0:
+                move(state, first_of(state, c), target)
             gained += best
     return gained
 
 
 @inner
 def _between(state, c, other):  # type: ignore[no-untyped-def]
-    cost, i = 0.0, state.head[c]
-    while i >= 0:
+    cost, i = 0.0, first_of(state, c)
+    while i < len(state.label):
         cost += state.total[other, i]
         i = state.after[i]
     return cost
@@ -252,8 +324,8 @@ def _between(state, c, other):  # type: ignore[no-untyped-def]
 
 @inner
 def _compatible(state, c, other):  # type: ignore[no-untyped-def]
-    i = state.head[c]
-    while i >= 0:
+    i = first_of(state, c)
+    while i < len(state.label):
         if not fits(state, i, other):
             return False
         i = state.after[i]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixer_torch.solvers.compiled import NONE, compiled, inner
-from mixer_torch.solvers.moves.clustering import enter, leave, list_slots
+from mixer_torch.solvers.moves.clustering import enter, first_of, leave, list_slots
 
 
 class Exchange(NamedTuple):
@@ -82,8 +82,8 @@ def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
 
 @inner
 def _attracted(state, c, other):  # type: ignore[no-untyped-def]
-    i = state.head[c]
-    while i >= 0:
+    i = first_of(state, c)
+    while i < len(state.label):
         if state.total[other, i] < 0:
             return True
         i = state.after[i]
@@ -133,8 +133,8 @@ def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
     count = 0
     for side in range(2):
         own, other = (first, second) if side == 0 else (second, first)
-        i = state.head[own]
-        while i >= 0:
+        i = first_of(state, own)
+        while i < len(state.label):
             scratch.node[count] = i
             scratch.side[count] = side
             scratch.gain[count] = state.total[other, i] - state.total[own, i]

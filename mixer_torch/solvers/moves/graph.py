@@ -10,6 +10,7 @@ import numpy as np
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.transfer import on_host
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,20 @@ class Graph:
 
     @classmethod
     def from_problems(cls, problems: Sequence[Problem]) -> Graph:
-        """Several problems side by side; nothing connects them."""
+        """Several problems side by side; nothing connects them.
+
+        One copy for each dtype brings all of them from a device: the moves are sequential by
+        nature, and need the graph on the host. Its components are found there too: that is one pass
+        over the edges, while on the device it would take several, and the host would still need
+        both.
+        """
         none = np.zeros((2, 0), np.int64)
         pairs, cost, incidence, nodes, tokens = [none], [np.zeros(0)], [none], 0, 0
-        for problem in problems:
-            node, token = problem.incidence.cpu().numpy()
-            pairs.append(problem.pairs.cpu().numpy() + nodes)
-            cost.append(problem.cost.detach().cpu().numpy())
+        copies = on_host([x for p in problems for x in (p.incidence, p.pairs, p.cost)])
+        for i, problem in enumerate(problems):
+            (node, token), ends, value = (copy.numpy() for copy in copies[3 * i : 3 * i + 3])
+            pairs.append(ends + nodes)
+            cost.append(value)
             incidence.append(np.stack([node + nodes, token + tokens]))
             nodes += len(problem)
             tokens += int(token.max()) + 1 if len(token) else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixer_torch.solvers.compiled import NONE, draw, inner, shuffle
-from mixer_torch.solvers.moves.clustering import enter, leave
+from mixer_torch.solvers.moves.clustering import move, trade
 
 _NOISES = 1024  # a power of two
 # Gumbel noise: the lowest of cost - temperature * noise is a draw from exp(-cost / temperature)
@@ -45,20 +45,39 @@ def reheat(state, region, count, hot, cold, sweeps, random):  # type: ignore[no-
 
 @inner
 def _redraw(state, i, first, temperature):  # type: ignore[no-untyped-def]
-    """Node i draws a place, with a stretch of the table as noise; the change of the cost."""
+    """Node i draws a place, with a stretch of the table as noise; the change of the cost.
+
+    Who stands in the way is only asked for in places that are the cheapest without it.
+    """
     own = state.label[i]
+    count = state.number[0] + (state.size[own] > 1)
+    for p in range(count):
+        noise = temperature * _NOISE[(first + p) & (_NOISES - 1)]
+        state.value[p] = state.total[state.slot[p], i] - noise
     best, target = np.inf, own
-    for p in range(state.number[0] + (state.size[own] > 1)):
+    while True:
+        p = _lowest(state.value, count)
+        if state.value[p] >= best:
+            break
         c = state.slot[p]
-        cost = state.total[c, i] - temperature * _NOISE[(first + p) & (_NOISES - 1)]
-        if cost < best:
-            if c != own:
-                cost += _way_out(state, i, c)
-            if cost < best:
-                best, target = cost, c
-    if target == own:
-        return 0.0
-    return _take_place(state, i, target)
+        detour = 0.0 if c == own else _way_out(state, i, c)
+        if state.value[p] + detour < best:
+            best, target = state.value[p] + detour, c
+        if detour <= 0:
+            break
+        state.value[p] = np.inf
+    return 0.0 if target == own else _take_place(state, i, target)
+
+
+@inner
+def _lowest(value, count):  # type: ignore[no-untyped-def]
+    """Index of the lowest of the first values, without branches, which are hard to predict here."""
+    best, lowest = np.inf, NONE
+    for p in range(count):
+        lower = value[p] < best
+        lowest = p if lower else lowest
+        best = value[p] if lower else best
+    return lowest
 
 
 @inner
@@ -80,17 +99,14 @@ def _take_place(state, i, c):  # type: ignore[no-untyped-def]
     own, j = state.label[i], blocker(state, i, c)
     change = state.total[c, i] - state.total[own, i]
     if j == NONE:
-        leave(state, i)
-        enter(state, i, c)
+        move(state, i, c)
         return change
-    follows = state.total[own, j] < 0 and _may_follow(state, i, j, own)
     change -= state.total[c, j]
-    leave(state, i)
-    leave(state, j)
-    enter(state, i, c)
-    place = own if follows else state.slot[state.number[0]]
-    change += state.total[place, j]
-    enter(state, j, place)
+    if state.total[own, j] < 0 and _may_follow(state, i, j, own):
+        trade(state, i, j)
+        return change + state.total[own, j]
+    move(state, j, state.slot[state.number[0]])
+    move(state, i, c)
     return change
 
 

@@ -7,7 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mixer_torch.solvers.compiled import NONE, compiled, draw, inner, shuffle
-from mixer_torch.solvers.moves.clustering import build, fits, merge, move, relocate, restore
+from mixer_torch.solvers.moves.clustering import (
+    build,
+    first_of,
+    fits,
+    merge,
+    move,
+    relocate,
+    restore,
+)
 from mixer_torch.solvers.moves.exchange import Exchange, exchange_all, exchange_scratch
 from mixer_torch.solvers.moves.matching import Matching, matching_scratch, rematch
 from mixer_torch.solvers.moves.reheating import reheat
@@ -24,12 +32,12 @@ GAINS = {
     "disturbances": DISTURBED,
 }
 # reheats that come back to the best and end a search: of few restarts, of many, and between
-_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 4.0
+_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 6.0
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
-_SWEEPS_EACH = 20  # sweeps that take as long as a disturbance
-_HOT, _COLD = 1.0, 0.1  # temperatures, in units of what a node's place costs
-_COOLEST = 0.2  # lowest temperature from which a reheat starts
+_SWEEPS_EACH = 20  # sweeps to a disturbance
+# temperatures from which a reheat starts and at which it ends, in units of what a place costs
+_HOTTEST, _COOLEST, _COLD = 0.6, 0.2, 0.1
 _LOCAL = 64  # nodes in the smallest region of reheats
 _CLUSTERS = 16  # most clusters that a disturbance takes apart
 _REGION = np.int64(64)  # nodes after which a disturbance takes no further cluster
@@ -69,7 +77,7 @@ def new_course(restarts: int) -> np.ndarray:
 def search(weight, token_start, token, label, limit, course, random):  # type: ignore[no-untyped-def]
     """Improve labels in place; they never get worse.
 
-    A restart reheats a region at random, then disturbs smaller ones for about as long. Where
+    A restart reheats a region at random, and every other one then disturbs smaller ones. Where
     reheats keep coming back to the best clustering, it is probably the optimum, and the search
     ends; another clustering of the same cost says nothing. Where they keep ending above it, they
     get longer.
@@ -130,14 +138,14 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
     while course[RESTARTS] < limit:
         since = state.number[1]
         count = draw_region(state, moves, n, n >> draw(random, levels), random)
-        start = hot * _COOLEST ** (draw(random, 1024) / 1024)
+        start = _HOTTEST * (_COOLEST / _HOTTEST) ** (draw(random, 1024) / 1024)
         sweeps = np.int64(course[_SWEEPS])
-        change = reheat(state, moves.region, count, start, hot * _COLD, sweeps, random)
+        change = reheat(state, moves.region, count, hot * start, hot * _COLD, sweeps, random)
         change += descend(state, moves, since)
         if abs(change) > moves.tiny or is_same(state, label):
-            _note_return(course, change, moves.tiny, count / n * start / hot, longest)
+            _note_return(course, change, moves.tiny, count / n * start / _HOTTEST, longest)
         course[REHEATED] += _keep_better(state, label, change)
-        for _ in range(sweeps // _SWEEPS_EACH):
+        for _ in range(sweeps // _SWEEPS_EACH if course[RESTARTS] % 2 == 1 else 0):
             since = state.number[1]
             change = disturb(state, moves, random)
             change += descend(state, moves, since)
@@ -288,8 +296,8 @@ def draw_region(state, moves, clusters, nodes, random):  # type: ignore[no-untyp
     c = state.label[draw(random, len(state.label))]
     for _ in range(clusters):
         moves.taken[c] = True
-        i = state.head[c]
-        while i >= 0:
+        i = first_of(state, c)
+        while i < len(state.label):
             region[count] = i
             count += 1
             i = state.after[i]
