@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64
-from scipy.optimize import linear_sum_assignment
+from jaxtyping import Float64
 
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.calibration import find_calibration, read_calibration
+from mixer_torch.datasets.local_motion import local_motion
 from mixer_torch.datasets.motchallenge_files import (
     SequenceInfo,
     as_confidence,
@@ -23,6 +23,7 @@ from mixer_torch.datasets.motchallenge_files import (
     read_truth,
 )
 from mixer_torch.datasets.motchallenge_frames import NumberedFrames, find_frames
+from mixer_torch.datasets.overlap import match_boxes
 from mixer_torch.observations import Images, Observations
 
 
@@ -65,6 +66,15 @@ class MOTChallenge(Dataset):
             the ``seqLength`` of ``seqinfo.ini`` are left out, unless ``stop`` says otherwise.
         spread: Also spread the scores of a detector that is seldom sure, so that thresholds of
             confidence mean the same for all detectors.
+        window: Half-width, seconds, of the stretch of video over which position and ``velocity``
+            (metres a second, NaN where it cannot be told) are fitted, from the boxes of all
+            frames, chosen or not, earlier or later
+            (:func:`~mixer_torch.datasets.local_motion.local_motion`); 0 for positions as they were
+            measured. It needs a calibration.
+
+    Raises:
+        ValueError: A number is out of range, or source is none of the two.
+        FileNotFoundError: When it loads: there is no such sequence, or no calibration and a window.
     """
 
     def __init__(
@@ -83,6 +93,7 @@ class MOTChallenge(Dataset):
         truth: bool = True,
         repair: bool = False,
         spread: bool = False,
+        window: float = 0.0,
     ) -> None:
         if step < 1:
             raise ValueError(f"step: expected 1 or more, got {step}")
@@ -92,6 +103,8 @@ class MOTChallenge(Dataset):
             raise ValueError(f"min_overlap: expected a value in (0, 1], got {min_overlap}")
         if frame_rate is not None and not (frame_rate > 0 and np.isfinite(frame_rate)):
             raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
+        if not 0 <= window < float("inf"):
+            raise ValueError(f"window: expected a finite number >= 0, got {window}")
         self.path = Path(path)
         self.start, self.stop, self.step = start, stop, step
         self.source = source
@@ -104,6 +117,7 @@ class MOTChallenge(Dataset):
         self.frame_rate = frame_rate
         self.truth = truth
         self.repair = repair
+        self.window = window
 
     def load(self) -> Observations:
         observations, notes = self.read()
@@ -114,7 +128,8 @@ class MOTChallenge(Dataset):
     def read(self) -> tuple[Observations, list[str]]:
         """The observations, and what ``repair`` has left out, instead of warnings."""
         folder, info = self.folder, self.info()
-        rows, identity, notes = self._rows(folder, info)
+        table, chosen, identity, notes = self._rows(folder, info)
+        rows = table[chosen]
         frame, box = rows[:, 0].astype(np.int64), corners(rows)
         features = {
             "frame": frame,
@@ -125,8 +140,7 @@ class MOTChallenge(Dataset):
         }
         if identity is not None:
             features["identity"] = identity
-        if (position := self._position(folder, box)) is not None:
-            features["position"] = position
+        features |= self._places(folder, info, table, chosen)
         observations = Observations(
             torch.from_numpy(frame),
             {name: torch.from_numpy(value) for name, value in features.items()},
@@ -155,25 +169,27 @@ class MOTChallenge(Dataset):
 
     def _rows(
         self, folder: Path, info: SequenceInfo
-    ) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
-        """The lines to observe, in order of frames, the identity of each, and notes."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, list[str]]:
+        """All lines, which of them to observe in order of frames, their identities, and notes."""
         file = folder / "gt" / "gt.txt"
         truth = None
         if self.source == "gt" or (self.truth and file.is_file()):
-            truth = self._choose(read_truth(file, self.classes))
+            truth = read_truth(file, self.classes)
         if self.source == "gt" and truth is not None:
             truth[:, 6] = 1
-            return truth, truth[:, 1].astype(np.int64), []
-        rows, notes = self._detections(folder / "det" / "det.txt", info)
-        rows = self._choose(rows)
+            chosen = self._choose(truth)
+            return truth, chosen, truth[chosen, 1].astype(np.int64), []
+        table, notes = self._detections(folder / "det" / "det.txt", info)
+        chosen = self._choose(table)
         if truth is None:
-            return rows, None, notes
+            return table, chosen, None, notes
+        rows, truth = table[chosen], truth[self._choose(truth)]
         identity = np.full(len(rows), -1, dtype=np.int64)
         mine, theirs = match_boxes(
             rows[:, 0], corners(rows), truth[:, 0], corners(truth), self.min_overlap
         )
         identity[mine] = truth[theirs, 1]
-        return rows, identity, notes
+        return table, chosen, identity, notes
 
     def _detections(self, file: Path, info: SequenceInfo) -> tuple[np.ndarray, list[str]]:
         """The lines of ``det.txt``, with their confidence in the place of the score, and notes."""
@@ -188,9 +204,9 @@ class MOTChallenge(Dataset):
         return rows, notes
 
     def _choose(self, rows: np.ndarray) -> np.ndarray:
-        """The lines of the chosen frames, in order of frames."""
-        rows = rows[self.chosen(rows[:, 0])]
-        return rows[np.argsort(rows[:, 0], kind="stable")]
+        """Which lines are of the chosen frames, in order of frames."""
+        chosen = np.flatnonzero(self.chosen(rows[:, 0]))
+        return chosen[np.argsort(rows[chosen, 0], kind="stable")]
 
     def chosen(self, frame: np.ndarray) -> np.ndarray:
         """Which of these frames are to be read, by ``start``, ``stop`` and ``step``."""
@@ -198,17 +214,33 @@ class MOTChallenge(Dataset):
         keep = (frame >= start) & ((frame - start) % self.step == 0)
         return keep if self.stop is None else keep & (frame <= self.stop)
 
-    def _position(self, folder: Path, box: np.ndarray) -> np.ndarray | None:
+    def _places(
+        self, folder: Path, info: SequenceInfo, table: np.ndarray, chosen: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Position of the chosen lines, and velocity where there is a window."""
         ground = (
             find_calibration(folder)
             if self.calibration is None
             else read_calibration(find(self.calibration))
         )
         if ground is None:
-            return None
-        point = ground.to_ground(foot_points(box))
-        height = np.where(np.isnan(point[:, :1]), np.nan, 0)
-        return np.concatenate([point, height], 1).astype(np.float32)
+            if self.window:
+                raise FileNotFoundError(
+                    f"{folder}: no calibration, which window needs, got window {self.window}"
+                )
+            return {}
+        if not self.window:
+            return {"position": in_space(ground.to_ground(foot_points(corners(table[chosen]))))}
+        box = corners(table)
+        place, velocity = local_motion(
+            table[:, 0].astype(np.int64),
+            box,
+            ground.to_ground(foot_points(box)),
+            chosen,
+            info.frame_rate,
+            self.window,
+        )
+        return {"position": in_space(place), "velocity": in_space(velocity)}
 
     def _images(
         self, folder: Path, info: SequenceInfo, frame: np.ndarray, box: np.ndarray
@@ -231,45 +263,6 @@ class MOTChallenge(Dataset):
         return None
 
 
-def match_boxes(
-    frame_a: Float64[np.ndarray, " a"],
-    box_a: Float64[np.ndarray, "a 4"],
-    frame_b: Float64[np.ndarray, " b"],
-    box_b: Float64[np.ndarray, "b 4"],
-    min_overlap: float = 0.5,
-) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Frame by frame, the one-to-one assignment of boxes of greatest total overlap.
-
-    Maximise the sum of intersection over union over assigned pairs, subject to one-to-one and to
-    a pair counting only from ``min_overlap`` upwards.
-
-    Returns:
-        Indices in a and indices in b of the pairs that count.
-    """
-    pairs = []
-    for frame in np.intersect1d(frame_a, frame_b):
-        a, b = np.flatnonzero(frame_a == frame), np.flatnonzero(frame_b == frame)
-        overlap = box_overlap(box_a[a], box_b[b])
-        overlap[overlap < min_overlap] = 0
-        row, column = linear_sum_assignment(overlap, maximize=True)
-        counts = overlap[row, column] > 0
-        pairs.append((a[row[counts]], b[column[counts]]))
-    if not pairs:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    return np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
-
-
-def box_overlap(
-    a: Float64[np.ndarray, "a 4"], b: Float64[np.ndarray, "b 4"]
-) -> Float64[np.ndarray, "a b"]:
-    """Intersection over union of each box x1 y1 x2 y2 of a with each of b."""
-    low = np.maximum(a[:, None, :2], b[:, :2])
-    high = np.minimum(a[:, None, 2:], b[:, 2:])
-    intersection = (high - low).clip(min=0).prod(-1)
-    area_a, area_b = ((box[:, 2:] - box[:, :2]).prod(-1) for box in (a, b))
-    return intersection / (area_a[:, None] + area_b - intersection)
-
-
 def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"]:
     """Boxes x1 y1 x2 y2 from left, top, width, height in columns 2 to 5."""
     return np.concatenate([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6]], 1)
@@ -278,3 +271,9 @@ def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"
 def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
     """Where each box meets the ground: the middle of its lower edge."""
     return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])
+
+
+def in_space(point: Float64[np.ndarray, "m 2"]) -> np.ndarray:
+    """Points of the plane with z = 0, as float32; a row of NaN stays one."""
+    height = np.where(np.isnan(point[:, :1]), np.nan, 0)
+    return np.concatenate([point, height], 1).astype(np.float32)

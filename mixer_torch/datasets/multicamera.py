@@ -16,7 +16,8 @@ from mixer_torch.datasets.boxes import Boxes, read_boxes
 from mixer_torch.datasets.calibration import Calibration, read_calibration
 from mixer_torch.datasets.joined_frames import JoinedFrames
 from mixer_torch.datasets.local_motion import local_motion
-from mixer_torch.datasets.motchallenge import foot_points, match_boxes
+from mixer_torch.datasets.motchallenge import foot_points, in_space
+from mixer_torch.datasets.overlap import match_boxes
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 
@@ -241,11 +242,11 @@ class MultiCamera(Dataset):
         """Position of the chosen rows, and velocity where there is a window."""
         point = standing_points(ground, boxes.box, self.depth)
         if not self.window:
-            return {"position": _in_space(point[rows])}
+            return {"position": in_space(point[rows])}
         place, velocity = local_motion(
             boxes.frame, boxes.box, point, rows, self.frame_rate, self.window
         )
-        return {"position": _in_space(place), "velocity": _in_space(velocity)}
+        return {"position": in_space(place), "velocity": in_space(velocity)}
 
 
 def standing_points(
@@ -272,9 +273,3 @@ def _check_all(name: str, values: Sequence[str | Path | None], needed: bool = Fa
             f"{name}: expected a file for every camera{'' if needed else ' or for none'}, "
             f"got none for cameras {without}"
         )
-
-
-def _in_space(point: Float64[np.ndarray, "m 2"]) -> np.ndarray:
-    """Points of the plane with z = 0, as float32; a row of NaN stays one."""
-    height = np.where(np.isnan(point[:, :1]), np.nan, 0)
-    return np.concatenate([point, height], 1).astype(np.float32)

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float64, Int64
 from scipy.optimize import linear_sum_assignment
 
-from mixer_torch.datasets.motchallenge import box_overlap
+from mixer_torch.datasets.overlap import box_overlap
 from mixer_torch.metrics import bcubed, pairwise
 from mixer_torch.tracking.tracks import Tracks
 

@@ -1,19 +1,13 @@
 """MOTChallenge sequences: what is read, what truth is attached, and what is refused."""
 
-import itertools
-
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from mixer_torch.datasets.motchallenge import (
-    MOTChallenge,
-    box_overlap,
-    corners,
-    match_boxes,
-    read_table,
-)
+import mixer_torch as mx
+from mixer_torch.datasets.motchallenge import MOTChallenge, corners, read_table
+from scorers import Proximity
 
 SEQINFO = "[Sequence]\nname=toy\nimDir=img1\nframeRate=10\nseqLength=4\nimExt=.png\n"
 DET = """\
@@ -98,6 +92,66 @@ def test_position_through_a_homography(sequence):
     (sequence / "other.txt").write_text("0.1 0 0\n0 0.1 0\n0 0 1\n")
     other = MOTChallenge(sequence, calibration=sequence / "other.txt").load()
     np.testing.assert_allclose(other["position"][0], [2.5, 8, 0], rtol=1e-6)
+
+
+def walkers(folder, people=((100, 5), (300, -5)), frames=40):
+    """Left edge at first and pixels a frame; feet are 3 pixels too high and too low in turns."""
+    (folder / "homography.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
+    detections, truth = [], []
+    for frame in range(1, frames + 1):
+        for person, (x, speed) in enumerate(people):
+            left = x + speed * (frame - 1)
+            detections.append(f"{frame},-1,{left},{50 + 3 * (-1) ** frame},30,60,0.9,-1,-1,-1")
+            truth.append(f"{frame},{person + 1},{left},50,30,60,1,-1,-1,-1")
+    (folder / "det" / "det.txt").write_text("\n".join(detections))
+    (folder / "gt" / "gt.txt").write_text("\n".join(truth))
+
+
+@pytest.mark.parametrize("source", ["det", "gt"])
+def test_velocity_comes_from_the_frames_between(sequence, source):
+    walkers(sequence)
+    few = {"start": 10, "stop": 30, "step": 10, "source": source}
+    seen = MOTChallenge(sequence, window=0.5, **few).load()
+    assert seen["frame"].tolist() == [10, 10, 20, 20, 30, 30]
+    assert seen["velocity"].dtype == seen["position"].dtype == torch.float32
+    walk = np.where(seen["identity"] == 1, 0.5, -0.5)
+    np.testing.assert_allclose(seen["velocity"][:, 0], walk, atol=1e-6)
+    # 11 boxes around each: the shaking feet are 3 cm off once, 3 mm on the average of the path.
+    start = np.where(seen["identity"] == 1, 1.15, 3.15) + walk * seen["time"].numpy()
+    np.testing.assert_allclose(seen["position"][:, 0], start, atol=1e-6)
+    np.testing.assert_allclose(seen["position"][:, 1], 1.1, atol=0.004)
+    assert not seen["position"][:, 2].any()
+    plain = MOTChallenge(sequence, **few).load()
+    assert "velocity" not in plain.features
+    for name in ("frame", "box", "identity", "confidence"):
+        assert torch.equal(plain[name], seen[name])
+
+
+def test_who_walks_behind_is_told_apart_by_velocity(sequence):
+    # After 20 frames, one is where the other was.
+    walkers(sequence, [(100, 5), (200, 5)])
+    few = {"start": 11, "stop": 31, "step": 20}
+    seen = MOTChallenge(sequence, window=0.5, **few).load()
+    pairs = mx.Every()(seen)
+    same = seen["identity"][pairs[0]] == seen["identity"][pairs[1]]
+    keeps = Proximity(scale=0.3, memory=5, swerve=0.1)(seen, pairs)
+    stays = Proximity(scale=0.3, memory=5)(seen, pairs)
+    assert bool((keeps[same] > 0.6).all() and (keeps[~same] < 0.4).all())
+    assert bool((stays[same] < 0.4).all() and (stays[~same] > 0.6).any())
+
+
+def test_velocity_is_missing_where_it_cannot_be_told(sequence):
+    (sequence / "homography.txt").write_text("0.01 0 0\n0 0.02 0\n0 0 1\n")
+    seen = MOTChallenge(sequence, window=0.5).load()
+    assert seen["velocity"].isnan().all()
+    assert torch.equal(seen["position"], MOTChallenge(sequence).load()["position"])
+    (sequence / "det" / "det.txt").write_text("")
+    assert MOTChallenge(sequence, window=0.5).load()["velocity"].shape == (0, 3)
+
+
+def test_velocity_needs_a_calibration(sequence):
+    with pytest.raises(FileNotFoundError, match=r"no calibration, which window .*0\.5"):
+        MOTChallenge(sequence, window=0.5).load()
 
 
 def test_position_above_the_horizon_is_missing(sequence):
@@ -221,60 +275,18 @@ def test_found_in_the_data_folder(sequence, monkeypatch):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"step": 0}, "step"), ({"source": "dets"}, "source"), ({"min_overlap": 0.0}, "min_overlap")],
+    [
+        ({"step": 0}, "step"),
+        ({"source": "dets"}, "source"),
+        ({"min_overlap": 0.0}, "min_overlap"),
+        ({"window": -1.0}, "window: expected a finite number >= 0, got -1.0"),
+        ({"window": float("nan")}, "window"),
+        ({"window": float("inf")}, "window"),
+    ],
 )
 def test_bad_arguments(arguments, message):
     with pytest.raises((ValueError, TypeError), match=message):
         MOTChallenge("anywhere", **arguments)
-
-
-def random_boxes(generator, count):
-    low = generator.uniform(0, 6, (count, 2))
-    return np.concatenate([low, low + generator.uniform(2, 8, (count, 2))], 1)
-
-
-def test_overlap_against_a_grid_of_pixels():
-    generator = np.random.default_rng(0)
-    a, b = (np.rint(random_boxes(generator, 6)) for _ in range(2))
-    grid = np.stack(np.meshgrid(np.arange(20) + 0.5, np.arange(20) + 0.5), -1)
-
-    def mask(box):
-        return ((grid > box[:2]) & (grid < box[2:])).all(-1)
-
-    for i, j in itertools.product(range(6), repeat=2):
-        expected = (mask(a[i]) & mask(b[j])).sum() / (mask(a[i]) | mask(b[j])).sum()
-        assert box_overlap(a, b)[i, j] == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_matching_against_brute_force(seed):
-    generator = np.random.default_rng(seed)
-    a, b = random_boxes(generator, 4), random_boxes(generator, 5)
-    overlap = box_overlap(a, b)
-    overlap[overlap < 0.3] = 0
-    best = max(
-        sum(overlap[i, j] for i, j in enumerate(order))
-        for order in itertools.permutations(range(5), 4)
-    )
-    mine, theirs = match_boxes(np.ones(4), a, np.ones(5), b, 0.3)
-    assert overlap[mine, theirs].sum() == pytest.approx(best)
-    assert (overlap[mine, theirs] >= 0.3).all()
-    assert len(set(mine)) == len(mine)
-    assert len(set(theirs)) == len(theirs)
-
-
-def test_matching_stays_within_frames():
-    box = np.array([[0.0, 0, 10, 10]])
-    mine, theirs = match_boxes(np.array([1.0]), box, np.array([2.0]), box)
-    assert len(mine) == len(theirs) == 0
-
-
-def test_greedy_matching_would_lose_one():
-    # The middle truth overlaps both detections; only one assignment serves both.
-    detections = np.array([[0.0, 0, 10, 10], [4, 0, 14, 10]])
-    truth = np.array([[2.0, 0, 12, 10], [-2, 0, 8, 10]])
-    mine, theirs = match_boxes(np.ones(2), detections, np.ones(2), truth, 0.5)
-    assert dict(zip(mine.tolist(), theirs.tolist(), strict=True)) == {0: 1, 1: 0}
 
 
 def test_long_tables_read(tmp_path):

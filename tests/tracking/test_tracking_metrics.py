@@ -4,7 +4,8 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from mixer_torch.datasets.motchallenge import corners, match_boxes, read_table, read_truth
+from mixer_torch.datasets.motchallenge import corners, read_table, read_truth
+from mixer_torch.datasets.overlap import match_boxes
 from mixer_torch.tracking import Tracks
 from mixer_torch.tracking.tracking_metrics import (
     evaluate_sequences,
