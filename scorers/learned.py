@@ -18,7 +18,7 @@ from scorers.covariates import Covariates
 from scorers.fitted import log_ratio_of, read_safetensors, write_safetensors
 from scorers.proximity import Proximity
 
-FORMAT = "mixer-torch pair network 1"
+FORMAT = "mixer-torch pair network 2"
 SURE = 8.0
 """Largest log likelihood ratio that goes in or comes out, nats."""
 
@@ -64,8 +64,40 @@ class EvidenceNetwork(nn.Module):
         return ratio.where(says.any(0), ratio.new_full((), torch.nan))
 
 
+class EvidenceEnsemble(nn.Module):
+    """r = (1/n) Σ_i r_i: the mean of the log likelihood ratios of several networks.
+
+    Networks that differ in what they started from and in whom they were trained on agree where the
+    evidence is plain and differ where it is not; their mean depends less on both than any of them.
+
+    Args:
+        members: One or more, of the same modalities and covariates.
+
+    Raises:
+        ValueError: There is none, or covariates differ.
+    """
+
+    def __init__(self, members: Sequence[EvidenceNetwork]) -> None:
+        super().__init__()
+        if len({member.covariates.names for member in members}) != 1:
+            raise ValueError("members: expected one or more networks of the same covariates")
+        self.members = nn.ModuleList(members)
+
+    @property
+    def covariates(self) -> Covariates:
+        """Those of the first, which reads them as all do."""
+        first: Any = self.members[0]
+        return first.covariates
+
+    def forward(
+        self, ratios: Float[Tensor, "l P"], covariates: Float[Tensor, "P c"]
+    ) -> Float[Tensor, " P"]:
+        """As one network's; see :meth:`EvidenceNetwork.forward`."""
+        return torch.stack([member(ratios, covariates) for member in self.members]).mean(0)
+
+
 class PairNetwork(Scorer):
-    """One calibrated score of all that is known of a pair, by a small learned network.
+    """One calibrated score of all that is known of a pair, by one or several learned networks.
 
     Args:
         path: What ``mixer-train`` wrote; untrained, which is naive Bayes, if None.
@@ -89,10 +121,11 @@ class PairNetwork(Scorer):
         super().__init__(calibrator or Logistic(1.0, 0.0))
         self.scorers = nn.ModuleList([Proximity()] if scorers is None else scorers)
         names = unique_names([scorer.name for scorer in self._parts()])
-        if path is None:
-            self.network = EvidenceNetwork(len(names), covariates)
-        else:
-            self.network = load_network(path, names)
+        self.network = (
+            EvidenceEnsemble([EvidenceNetwork(len(names), covariates)])
+            if path is None
+            else load_network(path, names)
+        )
         needs = [
             key for scorer in self._parts() for key in (*scorer.needs, *scorer.calibrator.needs)
         ]
@@ -123,18 +156,23 @@ class PairNetwork(Scorer):
         return self.network(torch.stack(rows), self.network.covariates.of(features, pairs))
 
 
-def save_network(path: str | Path, network: EvidenceNetwork, modalities: Sequence[str]) -> None:
+def save_network(
+    path: str | Path, network: EvidenceEnsemble | EvidenceNetwork, modalities: Sequence[str]
+) -> None:
     """Write a safetensors file with the names of the modalities and covariates."""
+    ensemble = network if isinstance(network, EvidenceEnsemble) else EvidenceEnsemble([network])
+    first: Any = ensemble.members[0]
     settings = {
         "format": FORMAT,
         "modalities": json.dumps(list(modalities)),
-        "covariates": json.dumps(list(network.covariates.names)),
-        "width": str(network.hidden.out_features),
+        "covariates": json.dumps(list(first.covariates.names)),
+        "width": str(first.hidden.out_features),
+        "members": str(len(ensemble.members)),
     }
-    write_safetensors(path, network, settings)
+    write_safetensors(path, ensemble, settings)
 
 
-def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceNetwork:
+def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceEnsemble:
     """Read what :func:`save_network` wrote.
 
     Raises:
@@ -147,8 +185,10 @@ def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceNetwork
         raise ValueError(
             f"{path}: trained for the scorers {', '.join(names)}, got {', '.join(modalities)}"
         )
-    covariates = json.loads(settings["covariates"])
-    network = EvidenceNetwork(len(names), covariates, int(settings["width"]))
+    covariates, width = json.loads(settings["covariates"]), int(settings["width"])
+    network = EvidenceEnsemble(
+        [EvidenceNetwork(len(names), covariates, width) for _ in range(int(settings["members"]))]
+    )
     try:
         network.load_state_dict(tensors)
     except RuntimeError as error:

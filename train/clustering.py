@@ -30,8 +30,7 @@ from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
 from mixer_torch.solvers.relaxation import distinctness_matrix, project_to_simplex
-from scorers.fitted import log_ratio_of
-from scorers.learned import SURE, EvidenceNetwork, load_network
+from scorers.learned import SURE, EvidenceEnsemble, load_network
 from train.data import EpochSampler, PairData
 from train.evaluation import solved
 from train.pairs import PairTraining
@@ -200,7 +199,7 @@ class AssociationTraining(PairTraining):
         self.relaxation = relaxation or Relaxation()
 
     def setup(self, stage: str) -> None:
-        fresh = not isinstance(self.network, EvidenceNetwork)
+        fresh = not isinstance(self.network, EvidenceEnsemble)
         super().setup(stage)
         if self.start is not None and fresh:
             network: nn.Module = load_network(self.start, self._data().modalities)
@@ -218,9 +217,7 @@ class AssociationTraining(PairTraining):
         present = torch.unique(table.pairs)
         place = torch.zeros(len(table.observations), dtype=torch.int64)
         place[present] = torch.arange(len(present))
-        ratio = log_ratio_of(table.evidence).float()
-        ratio = ratio.where(table.evidence != 0.5, ratio.new_full((), torch.nan))
-        cost = -self.network(ratio, table.covariates_of(self.names)).nan_to_num(0.0)
+        cost = -self(table.evidence, table.covariates_of(self.names))
         a, b = place[table.pairs]
         full = cost.new_zeros(len(present), len(present))
         full = full.index_put((a, b), cost).index_put((b, a), cost)

@@ -147,11 +147,17 @@ class PairData(LightningDataModule):
 
 
 class Rows(Dataset):
-    """Pairs of several sequences in a row; indexed by a tensor, it gives a batch."""
+    """Pairs of several sequences in a row; indexed by a tensor, it gives a batch.
+
+    Attributes:
+        objects: (2, P) number of the object of both observations, another in every sequence; -1
+            for clutter.
+    """
 
     def __init__(self, tables: Sequence[PairTable]) -> None:
         self.evidence = torch.cat([table.evidence for table in tables], 1)
         self.same = torch.cat([table.same for table in tables])
+        self.objects = _objects(tables)
         names = [n for n in tables[0].covariates if all(n in t.covariates for t in tables)]
         self.covariates = {n: torch.cat([t.covariates[n] for t in tables]) for n in names}
 
@@ -162,12 +168,25 @@ class Rows(Dataset):
         return {
             "evidence": self.evidence[:, index],
             "same": self.same[index],
+            "objects": self.objects[:, index],
             "covariates": {name: value[index] for name, value in self.covariates.items()},
         }
 
     def covariates_of(self, names: Sequence[str]) -> Tensor:
         """(P, c) raw values of covariates by name."""
         return stack_covariates(self.covariates, names, len(self))
+
+
+def _objects(tables: Sequence[PairTable]) -> Tensor:
+    """Numbers of the objects of pairs, counted on from table to table."""
+    found, count = [], 0
+    for table in tables:
+        identity = table.observations["identity"][table.pairs]
+        known, number = torch.unique(identity, return_inverse=True)
+        clutter = int((known < 0).sum())
+        found.append(torch.where(identity < 0, -1, number - clutter + count))
+        count += len(known) - clutter
+    return torch.cat(found, 1)
 
 
 class EpochSampler(DistributedSampler):

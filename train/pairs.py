@@ -16,27 +16,32 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import LogOddsFusion
 from scorers.fitted import log_ratio_of
-from scorers.learned import SURE, EvidenceNetwork, save_network
+from scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork, save_network
 from train.data import PairData, Rows, stack_covariates
 from train.evaluation import evaluate_scores, summary
 from train.tables import PairTable
 
 
 class PairTraining(LightningModule):
-    """An :class:`~scorers.learned.EvidenceNetwork`, by log loss at the base rate of training.
+    """An :class:`~scorers.learned.EvidenceEnsemble`, by log loss at the base rate of training.
 
     The covariates are evidence here, counted once for all modalities. The scores that go in are
     those of the scorers with the calibrators that the configuration gives them.
+
+    Several members are trained side by side. Each starts from weights of its own and does not see
+    the objects of one of as many parts, so that what hangs on one object or on the start differs
+    between members and is small in their mean.
 
     Args:
         covariates: Names of :data:`scorers.covariates.COVARIATES`.
         width: Units of the hidden layer.
         learning_rate: Of Adam.
         weight_decay: Of Adam, decoupled.
-        seed: Of the weights at the start.
+        seed: Of the weights at the start, and of the parts.
+        members: Networks whose log likelihood ratios are averaged; a single one sees all objects.
 
     Raises:
-        ValueError: learning_rate is not positive.
+        ValueError: learning_rate is not positive, or members not 1 or more.
     """
 
     def __init__(
@@ -46,8 +51,11 @@ class PairTraining(LightningModule):
         learning_rate: float = 5e-3,
         weight_decay: float = 1e-2,
         seed: int = 0,
+        members: int = 1,
     ) -> None:
         super().__init__()
+        if members < 1:
+            raise ValueError(f"members: expected 1 or more, got {members}")
         if not learning_rate > 0:
             raise ValueError(f"learning_rate: expected a positive number, got {learning_rate}")
         self.names = tuple(covariates)
@@ -55,47 +63,73 @@ class PairTraining(LightningModule):
         self.learning_rate = learning_rate
         self.weight_decay = weight_decay
         self.seed = seed
+        self.members = members
         self.network: nn.Module = nn.Identity()
-        self.prior = 0.0
+        self.parts = torch.zeros(0, dtype=torch.int64)
+        self.priors: list[float] = []
         self.report = ""
 
     def setup(self, stage: str) -> None:
         data = self._data()
-        if isinstance(self.network, EvidenceNetwork):
+        if isinstance(self.network, EvidenceEnsemble):
             return
         data.replace_evidence_by_scores()
         rows = Rows(data.tables("train"))
+        covariates = rows.covariates_of(self.names)
+        networks = []
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
-            network = EvidenceNetwork(len(data.modalities), self.names, self.width)
-        network.covariates.learn(rows.covariates_of(self.names))
-        self.network = network
-        rate = float(rows.same.double().mean())
-        self.prior = math.log(rate / (1 - rate)) - math.log(data.kept)
+            for _ in range(self.members):
+                network = EvidenceNetwork(len(data.modalities), self.names, self.width)
+                network.covariates.learn(covariates)
+                networks.append(network)
+        self.network = EvidenceEnsemble(networks)
+        self.parts = parts_of_objects(rows.objects, self.members, self.seed)
+        self.priors = [
+            base_rate_logit(rows.same[seen]) - math.log(data.kept)
+            for seen in self.seen(rows.objects)
+        ]
+
+    def seen(self, objects: Tensor) -> Tensor:
+        """(members, P) whether a member is trained on a pair of these objects (2, P)."""
+        parts = torch.cat([self.parts, self.parts.new_full((1,), -1)]).to(objects.device)
+        member = torch.arange(self.members, device=objects.device)[:, None, None]
+        # Clutter is number -1, which is the last part: nobody's.
+        return (parts[objects] != member).all(1)
 
     def _data(self) -> PairData:
         return self.trainer.datamodule  # type: ignore[attr-defined]
 
     def forward(self, scores: Tensor, covariates: Tensor) -> Tensor:
         """Log likelihood ratios (P,) of scores (l, P), 0 where no modality says anything."""
-        ratio = log_ratio_of(scores).float()
-        ratio = ratio.where(scores != 0.5, ratio.new_full((), torch.nan))
-        return self.network(ratio, covariates).nan_to_num(0.0)
-
-    def _of(self, batch: Mapping[str, Any]) -> Tensor:
-        covariates = stack_covariates(batch["covariates"], self.names, len(batch["same"]))
-        return self(batch["evidence"], covariates)
+        return self.network(as_evidence(scores), covariates).nan_to_num(0.0)
 
     def training_step(self, batch: Mapping[str, Any], batch_idx: int) -> Tensor:
-        logit = self._of(batch) + self.prior
-        loss = binary_cross_entropy_with_logits(logit, batch["same"].to(logit))
+        evidence, count = as_evidence(batch["evidence"]), len(batch["same"])
+        covariates = stack_covariates(batch["covariates"], self.names, count)
+        members: Any = self.network.members
+        losses = []
+        for network, prior, seen in zip(
+            members, self.priors, self.seen(batch["objects"]), strict=True
+        ):
+            logit = network(evidence, covariates).nan_to_num(0.0) + prior
+            truth = batch["same"].to(logit)
+            each = binary_cross_entropy_with_logits(logit, truth, reduction="none")
+            losses.append((each * seen).sum() / seen.sum().clamp(min=1))
+        loss = torch.stack(losses).sum()  # the members have no weights in common
         self.log(
-            "train/loss", loss, on_step=False, on_epoch=True, batch_size=len(logit), sync_dist=True
+            "train/loss",
+            loss / self.members,
+            on_step=False,
+            on_epoch=True,
+            batch_size=count,
+            sync_dist=True,
         )
         return loss
 
     def validation_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
-        found = calibration_metrics(self._of(batch), batch["same"])
+        covariates = stack_covariates(batch["covariates"], self.names, len(batch["same"]))
+        found = calibration_metrics(self(batch["evidence"], covariates), batch["same"])
         self.log_dict(
             {f"val/{key}": value for key, value in found.items()}, batch_size=1, sync_dist=True
         )
@@ -126,7 +160,7 @@ class PairTraining(LightningModule):
         )
 
     def export(self, folder: Path, scorers: Sequence[Mapping[str, Any]]) -> list[Path]:
-        """Write the network, and ``scorers.yaml`` that ``mixer associate --config`` takes."""
+        """Write the networks, and ``scorers.yaml`` that ``mixer associate --config`` takes."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "pair_network.safetensors"
         save_network(path, self.network, self._data().modalities)  # type: ignore[arg-type]
@@ -139,3 +173,44 @@ class PairTraining(LightningModule):
             encoding="utf-8",
         )
         return [path, listing]
+
+
+def as_evidence(scores: Tensor) -> Tensor:
+    """Log likelihood ratios of scores, NaN at 0.5: nothing to say."""
+    ratio = log_ratio_of(scores).float()
+    return ratio.where(scores != 0.5, ratio.new_full((), torch.nan))
+
+
+def base_rate_logit(same: Tensor) -> float:
+    """Logit of the share of same pairs.
+
+    Raises:
+        ValueError: All are of one kind.
+    """
+    count = int(same.sum())
+    if not 0 < count < len(same):
+        raise ValueError(
+            f"train: expected same and different pairs for each member, "
+            f"got {count} same of {len(same)}"
+        )
+    return math.log(count / (len(same) - count))
+
+
+def parts_of_objects(objects: Tensor, count: int, seed: int) -> Tensor:
+    """The part 0, 1, ..., count - 1 of each object, drawn at random; -1 where there is but one.
+
+    Args:
+        objects: Numbers of objects, -1 for clutter.
+        count: Of parts.
+        seed: Of the draw.
+
+    Raises:
+        ValueError: There are fewer objects than parts, and more than one part.
+    """
+    number = int(objects.max()) + 1 if objects.numel() else 0
+    if count > max(number, 1):
+        raise ValueError(f"members: expected at most one for each object, {number}, got {count}")
+    order = torch.randperm(number, generator=torch.Generator().manual_seed(seed))
+    part = torch.empty(number, dtype=torch.int64)
+    part[order] = torch.arange(number) % count if count > 1 else -1
+    return part

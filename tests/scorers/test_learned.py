@@ -7,7 +7,13 @@ import mixer_torch as mx
 from mixer_torch.observations import Observations
 from scorers import IoU, Proximity
 from scorers.fitted import load_calibrator
-from scorers.learned import EvidenceNetwork, PairNetwork, load_network, save_network
+from scorers.learned import (
+    EvidenceEnsemble,
+    EvidenceNetwork,
+    PairNetwork,
+    load_network,
+    save_network,
+)
 
 
 @pytest.fixture
@@ -57,6 +63,27 @@ def test_saved_and_loaded(seen, tmp_path):
     torch.testing.assert_close(scorer(seen, pairs), direct(seen, pairs).detach(), rtol=0, atol=0)
 
 
+def test_an_ensemble_is_the_mean_of_its_members(seen, tmp_path):
+    generator = torch.Generator().manual_seed(0)
+    members = [EvidenceNetwork(2, ["time_gap"], width=4) for _ in range(3)]
+    for member in members:
+        torch.nn.init.normal_(member.out.weight, generator=generator)
+    path = tmp_path / "pairs.safetensors"
+    save_network(path, EvidenceEnsemble(members), ["IoU", "Proximity"])
+    pairs = mx.Every()(seen)
+    found = torch.logit(PairNetwork(path, [IoU(), Proximity()])(seen, pairs))
+    each = []
+    for member in members:
+        save_network(path, member, ["IoU", "Proximity"])
+        each.append(torch.logit(PairNetwork(path, [IoU(), Proximity()])(seen, pairs)))
+    torch.testing.assert_close(found, torch.stack(each).mean(0), rtol=1e-4, atol=1e-4)
+    assert (torch.stack(each).std(0) > 0.01).any()
+    with pytest.raises(ValueError, match="one or more networks of the same covariates"):
+        EvidenceEnsemble([EvidenceNetwork(2), EvidenceNetwork(2, ["time_gap"])])
+    with pytest.raises(ValueError, match="one or more networks"):
+        EvidenceEnsemble([])
+
+
 def test_bad_files_are_named(tmp_path):
     path = tmp_path / "pairs.safetensors"
     with pytest.raises(FileNotFoundError, match="pairs"):
@@ -66,4 +93,5 @@ def test_bad_files_are_named(tmp_path):
         PairNetwork(path)
     with pytest.raises(ValueError, match="expected a file of kind"):
         load_calibrator(path)
-    assert load_network(path, ["IoU", "SIFT"]).weights.tolist() == [1.0, 1.0]
+    (member,) = load_network(path, ["IoU", "SIFT"]).members
+    assert member.weights.tolist() == [1.0, 1.0]

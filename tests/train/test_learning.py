@@ -1,16 +1,22 @@
 """Fusion, pair network and clustering trained from the command line, in miniature."""
 
+import copy
 import csv
+import dataclasses
 import json
+import math
+from types import SimpleNamespace
 
 import pytest
 import torch
 import yaml
 
 from mixer_torch.cli import main as mixer
+from scorers.learned import load_network
 from train.cli import main as mixer_train
-from train.data import EpochSampler, by_identity
+from train.data import EpochSampler, Rows, by_identity
 from train.dependence import dependence
+from train.pairs import PairTraining, as_evidence, parts_of_objects
 from train.tables import PairTable
 
 
@@ -163,3 +169,88 @@ def test_dependence_of_copies_is_one():
     for kind in ("same", "different"):
         assert report[kind]["a and b"] == pytest.approx(1.0)
         assert abs(report[kind]["a and c"]) < 0.4
+
+
+def test_members_are_trained_side_by_side_and_saved_in_one_file(settings, tmp_path):
+    settings["model"] = {"class_path": "train.pairs.PairTraining", "init_args": {"members": 3}}
+    metrics, found = fit_test_and_associate(settings, tmp_path, "scorers.yaml")
+    assert found == pytest.approx(metrics["network"]["f1"])
+    saved = load_network(
+        tmp_path / "run" / "export" / "pair_network.safetensors", ["IoU", "Proximity"]
+    )
+    weights = torch.stack([member.weights for member in saved.members])
+    assert weights.shape == (3, 2)
+    assert len(torch.unique(weights, dim=0)) == 3
+
+
+def objects_table(identity):
+    """All pairs of observations, in one modality that knows little, and in one that errs on 0."""
+    table = make_table(identity)
+    same = table.same & (identity[table.pairs[0]] >= 0)
+    scores = torch.where(same, 0.8, 0.3) * torch.ones_like(table.evidence)
+    scores[1, (identity[table.pairs] == 0).any(0)] = 0.5
+    return dataclasses.replace(table, evidence=scores, same=same)
+
+
+def started(table, members):
+    """A training that has been set up, without a trainer."""
+    training = PairTraining([], members=members)
+    training._data = lambda: SimpleNamespace(
+        modalities=("a", "b"),
+        kept=1.0,
+        tables=lambda part: [table],
+        replace_evidence_by_scores=lambda: None,
+    )
+    training.log = lambda *args, **options: None
+    training.setup("fit")
+    return training
+
+
+def test_a_member_never_sees_the_objects_of_its_part():
+    rows = Rows([objects_table(torch.tensor([7, 7, 3, 3, -1, 9, 9]))] * 2)
+    first = rows.objects[:, : rows.objects.shape[1] // 2]
+    assert sorted(torch.unique(first).tolist()) == [-1, 0, 1, 2]
+    # Another sequence has other objects, even where it counts them alike; clutter is no object.
+    assert sorted(torch.unique(rows.objects).tolist()) == [-1, 0, 1, 2, 3, 4, 5]
+    training = PairTraining([], members=3)
+    training.parts = parts_of_objects(rows.objects, 3, seed=0)
+    assert torch.bincount(training.parts).tolist() == [2, 2, 2]
+    seen = training.seen(rows.objects)
+    for k in range(3):
+        left_out = (training.parts == k).nonzero()[:, 0]
+        assert torch.equal(seen[k], ~torch.isin(rows.objects, left_out).any(0))
+    alone = PairTraining([], members=1)
+    alone.parts = parts_of_objects(rows.objects, 1, seed=0)
+    assert bool(alone.seen(rows.objects).all())
+
+
+def test_a_member_learns_what_it_would_learn_alone():
+    """One step of all members on all pairs is, for each, one step on the pairs that it sees."""
+    table = objects_table(torch.tensor([0, 0, 1, 1, 2, 2, -1, 3, 3]))
+    rows, training = Rows([table]), started(table, members=2)
+    alone = copy.deepcopy(training.network)
+    batch = rows[torch.arange(len(rows))]
+    training.training_step(batch, 0).backward()
+    for k, member in enumerate(alone.members):
+        kept = training.seen(rows.objects)[k]
+        same = rows.same[kept].float()
+        rate = float(same.mean())
+        logit = member(as_evidence(rows.evidence[:, kept]), torch.zeros(int(kept.sum()), 0))
+        logit = logit.nan_to_num(0.0) + math.log(rate / (1 - rate))
+        torch.nn.functional.binary_cross_entropy_with_logits(logit, same).backward()
+        together = dict(training.network.members[k].named_parameters())
+        for name, parameter in member.named_parameters():
+            torch.testing.assert_close(together[name].grad, parameter.grad, msg=name)
+
+
+@pytest.mark.parametrize(
+    ("members", "identity", "message"),
+    [
+        (0, [0, 0, 1], "members: expected 1 or more, got 0"),
+        (4, [0, 0, 1, 1], "members: expected at most one for each object, 2, got 4"),
+        (2, [0, 0, 1, -1], "expected same and different pairs for each member, got 0 same"),
+    ],
+)
+def test_too_many_members_are_refused(members, identity, message):
+    with pytest.raises(ValueError, match=message):
+        started(objects_table(torch.tensor(identity)), members)
