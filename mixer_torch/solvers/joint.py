@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution
-from mixer_torch.solvers.gradient.batch import Batch, buckets
+from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose, part_costs
 from mixer_torch.solvers.moves.enumeration import LARGEST as ENUMERABLE
@@ -25,11 +25,11 @@ from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.refinement import Effort, refine_parts, told
 
-# nodes of a part for the gradient stage; on a CPU, torch leaves matrices of that size to one thread
-LARGEST_CPU = 180
-LARGEST_GPU = 2000
+LARGEST_GPU = 2000  # nodes of a part for the gradient stage; on a CPU, those for one thread
 SHARES = 4  # of the work for each thread, since some take longer than others
 CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 class Clock:
@@ -104,11 +104,7 @@ class Joint:
             effort = Effort(restarts, seed, clock.end, tell)
             return refine_parts(graph, parts, label[first:end], effort, key[first:end])
 
-        if len(told) == 1:
-            found = [search(0)]
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                found = list(pool.map(search, range(len(told))))
+        found = list(_mapped(search, range(len(told)), threads))
         moved = [own + first for (own, _, _), first in zip(found, borders, strict=False)]
         courses = np.concatenate([course for _, course, _ in found])
         return np.concatenate(moved), courses, any(late for _, _, late in found)
@@ -157,13 +153,19 @@ class Joint:
         clusters = np.bincount(self.parts.part[first], minlength=len(size))
         columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
         found: dict[int, Relaxed] = {}
-        for bucket in buckets(size[which].tolist(), self.like.device):
+
+        def run(bucket: list[int]) -> dict[int, Relaxed]:
             if clock.is_over():
-                break
+                return {}
             chosen = which[bucket]
             batch = Batch.of_parts(self.graph, self.parts, chosen.tolist(), self.like)
             relaxed = stage.run(batch, int(columns[chosen].max()))
-            found.update(zip(chosen.tolist(), relaxed, strict=True))
+            return dict(zip(chosen.tolist(), relaxed, strict=True))
+
+        # a device is kept busy by one batch at a time
+        threads = torch.get_num_threads() if self.like.device.type == "cpu" else 1
+        for answers in _mapped(run, buckets(size[which].tolist(), self.like.device), threads):
+            found.update(answers)
             progress(len(found) / len(which))
         return found
 
@@ -180,6 +182,16 @@ class Joint:
         """In each part the labels with the lower objective; both respect parts."""
         win = self.objective(other) < self.objective(label)
         return np.where(win[self.parts.part], other + len(self.graph), label)
+
+
+def _mapped(function: Callable[[A], B], items: Iterable[A], threads: int) -> Iterator[B]:
+    """The results in order, on so many threads where there is more than one item."""
+    items = list(items)
+    if threads == 1 or len(items) == 1:
+        yield from map(function, items)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            yield from pool.map(function, items)
 
 
 def solve_side_by_side(

@@ -150,13 +150,15 @@ def _search_small(
 ) -> np.ndarray:
     """Search one part, and look at the clock now and then; returns the course of the search."""
     most = restarts_of(len(nodes), effort.restarts)
-    course, limit, ended = new_course(effort.restarts), 0, False
+    course, credit = new_course(effort.restarts), np.zeros(len(nodes))
+    limit, ended = 0, False
     while not ended and limit < most:
         late = time.perf_counter() > effort.deadline
         limit = limit if late else min(most, limit + max(1, CHUNK // len(nodes)))
-        ended = search_region(arrays, carrier, names, nodes, limit, course, random) or late
+        ended = search_region(arrays, carrier, names, nodes, limit, course, credit, random)
+        ended = ended or late
     if most == 0:
-        search_region(arrays, carrier, names, nodes, 0, course, random)
+        search_region(arrays, carrier, names, nodes, 0, course, credit, random)
     return course
 
 

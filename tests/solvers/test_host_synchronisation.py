@@ -153,7 +153,9 @@ def test_what_the_user_chose_for_products_is_left_alone(chosen):
     try:
         products.fp32_precision = chosen
         for precision in ("float32", "tf32", "bfloat16"):
-            with annealing._allowed_tf32(precision):
+            with annealing._allowed_tf32(precision, torch.device("cpu")):
+                assert products.fp32_precision == chosen
+            with annealing._allowed_tf32(precision, torch.device("cuda")):
                 inside.append(products.fp32_precision)
             assert products.fp32_precision == chosen
             annealing.anneal(batch(), SHAPE[2], iterations=3, precision=precision)

@@ -64,7 +64,14 @@ def test_regions_leave_the_rest_together(seed: int) -> None:
         old = names.label.copy()
         nodes = np.sort(rng.choice(len(graph), 25, replace=False)).astype(np.int64)
         search_region(
-            arrays_of(graph), carriers_of(graph), names, nodes, 10, new_course(10), random
+            arrays_of(graph),
+            carriers_of(graph),
+            names,
+            nodes,
+            10,
+            new_course(10),
+            np.zeros(len(nodes)),
+            random,
         )
         rest = np.setdiff1d(np.arange(len(graph)), nodes)
         assert (names.label[rest] == old[rest]).all()

@@ -67,7 +67,7 @@ def anneal(
     ahead, matrix = assignment.clone(), torch.empty_like(cost)
     multiply = _products(precision)
     forms = []
-    with _allowed_tf32(precision):
+    with _allowed_tf32(precision, cost.device):
         for t in range(iterations):
             torch.add(cost, batch.distinctness, alpha=weight[t], out=matrix)
             product = multiply(matrix, ahead)
@@ -152,13 +152,14 @@ def _products(precision: str) -> Any:
 
 
 @contextmanager
-def _allowed_tf32(precision: str) -> Iterator[None]:
+def _allowed_tf32(precision: str, device: torch.device) -> Iterator[None]:
     """TF32 for the products inside, where it was asked for; torch has no switch for one product.
 
+    A CPU has no TF32, and several threads may be here at once, so there the switch is left alone.
     Since 2.9 torch has two names for its switch, and to look at one is an error where the other is
     in use: the newer one can always be looked at.
     """
-    if precision != "tf32":
+    if precision != "tf32" or device.type == "cpu":
         yield
         return
     products: Any = torch.backends.cuda.matmul

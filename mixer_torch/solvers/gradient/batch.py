@@ -15,9 +15,8 @@ from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.moves.decomposition import Parts
 from mixer_torch.solvers.moves.graph import Graph, shares_token
 
-# of a batch: few enough that torch does not split elementwise kernels among threads (32768), whose
-# waiting for each other takes many times longer than the work where cores are shared
-ENTRIES_CPU = 2**14
+ENTRIES_CPU = 2**15 - 1  # of a batch: torch splits larger elementwise kernels among threads
+LARGEST_CPU = 180  # observations of a problem up to which one thread is best
 ENTRIES_GPU = 2**24  # what keeps the device busy
 
 

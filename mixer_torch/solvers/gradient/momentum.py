@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.compiled import compiled, vectorised
 from mixer_torch.solvers.gradient.projection import project_row, project_rows
 
 MOMENTUM = 0.5
@@ -76,13 +76,29 @@ def _advance(assignment, ahead, product, hold, back, keep, forms):  # type: igno
                 assignment[b, i] = 0
                 ahead[b, i] = 0
                 continue
-            for j in range(len(row)):
-                y = ahead[b, i, j]
-                value += y * product[b, i, j]
-                square += y * y
-                row[j] = hold[b] * y + back[b] * product[b, i, j]
+            own, norm = _target(ahead, product, b, i, hold[b], back[b], row)
+            value += own
+            square += norm
             project_row(row, False)
-            for j in range(len(row)):
-                ahead[b, i, j] = row[j] + push * (row[j] - assignment[b, i, j])
-                assignment[b, i, j] = row[j]
+            _follow(assignment, ahead, b, i, row, push)
         forms[0, b], forms[1, b] = value, square
+
+
+@vectorised
+def _target(ahead, product, b, i, hold, back, row):  # type: ignore[no-untyped-def]
+    """Write where row i goes before it is projected; what it adds to the two forms."""
+    value = square = row.dtype.type(0)
+    for j in range(len(row)):
+        y = ahead[b, i, j]
+        value += y * product[b, i, j]
+        square += y * y
+        row[j] = hold * y + back * product[b, i, j]
+    return value, square
+
+
+@vectorised
+def _follow(assignment, ahead, b, i, row, push):  # type: ignore[no-untyped-def]
+    """Row i of U becomes the projection, and Y goes beyond it."""
+    for j in range(len(row)):
+        ahead[b, i, j] = row[j] + push * (row[j] - assignment[b, i, j])
+        assignment[b, i, j] = row[j]

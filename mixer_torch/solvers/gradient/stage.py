@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -10,9 +11,10 @@ from torch import Tensor
 
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.gradient.annealing import anneal
-from mixer_torch.solvers.gradient.batch import Batch, Descent, continued
+from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, Descent, continued
 from mixer_torch.solvers.gradient.descent import descend
 from mixer_torch.solvers.gradient.rounding import binary_labels, nearest_labels
+from mixer_torch.solvers.one_thread import one_thread
 from mixer_torch.solvers.transfer import on_host
 
 ANNEALING = 100  # iterations
@@ -58,8 +60,10 @@ class GradientStage:
 
     def run(self, batch: Batch, columns: int) -> list[Relaxed]:
         """Solve the problems of a batch, with at most so many clusters in each."""
-        result = self.descend(batch, columns)
-        labels, binary = binary_labels(result.assignment, batch)
+        small = batch.cost.device.type == "cpu" and batch.cost.shape[1] <= LARGEST_CPU
+        with one_thread() if small else nullcontext():
+            result = self.descend(batch, columns)
+            labels, binary = binary_labels(result.assignment, batch)
         history = result.history.double().T / 2
         numbers = batch.mask.sum(1), binary, result.iterations, result.penalty, history
         labels, *host = on_host([labels, *numbers])

@@ -85,7 +85,8 @@ def _regions(
             break
         nodes = _around(arrays, had_turn, seed, REGION)
         course = new_course(restarts)
-        search_region(arrays, carrier, names, nodes, restarts, course, random)
+        credit = np.zeros(len(nodes))
+        search_region(arrays, carrier, names, nodes, restarts, course, credit, random)
         total += course
         done += len(nodes)
         if progress is not None:

@@ -64,6 +64,7 @@ def search_region(
     nodes: np.ndarray,
     limit: int,
     course: np.ndarray,
+    credit: np.ndarray,
     random: np.ndarray,
 ) -> bool:
     """Search for better places of some nodes.
@@ -78,11 +79,15 @@ def search_region(
         names: The labels, written.
         nodes: (k,) the nodes that are free to move.
         limit: See :func:`search`, as
-        course: and what it returns.
+        course: (COURSE,) and
+        credit: (k,) of the nodes, both written; and what it returns.
         random: (1,) uint64 state, written.
     """
     weight, token_start, token, local, kept = _cut_out(graph, carrier, names, nodes)
-    ended = search(weight, token_start, token, local, limit, course, random)
+    own = np.full(len(local), np.inf)
+    own[: len(nodes)] = credit
+    ended = search(weight, token_start, token, local, limit, course, own, random)
+    credit[:] = own[: len(nodes)]
     _put_back(names, nodes, kept, local)
     return bool(ended)
 

@@ -14,24 +14,24 @@ from mixer_torch.solvers.moves.clustering import (
     merge,
     move,
     relocate,
-    restore,
 )
 from mixer_torch.solvers.moves.exchange import Exchange, exchange_all, exchange_scratch
 from mixer_torch.solvers.moves.matching import Matching, matching_scratch, rematch
+from mixer_torch.solvers.moves.recombination import is_confirmed, keep, recombine, rest
 from mixer_torch.solvers.moves.reheating import reheat
 
 PRECISION = 1e-11  # gains below this, relative to the largest cost, may be rounding
 # what a search is resumed from, and what it did: an array of so many numbers
-COURSE = 9
-_ENOUGH, _RETURNS, _MISSES, _SWEEPS = range(4)
-RESTARTS, DESCENDED, REHEATED, DISTURBED, ENUMERATED = range(4, COURSE)
+COURSE = 8
+_ENOUGH, _MISSES, _SWEEPS = range(3)
+RESTARTS, DESCENDED, REHEATED, DISTURBED, ENUMERATED = range(3, COURSE)
 GAINS = {
     "enumeration": ENUMERATED,
     "descents": DESCENDED,
     "reheats": REHEATED,
     "disturbances": DISTURBED,
 }
-# reheats that come back to the best and end a search: of few restarts, of many, and between
+# how often each cluster is found again before a search ends: of few restarts, of many, and between
 _FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 6.0
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
@@ -74,13 +74,13 @@ def new_course(restarts: int) -> np.ndarray:
 
 
 @compiled
-def search(weight, token_start, token, label, limit, course, random):  # type: ignore[no-untyped-def]
+def search(weight, token_start, token, label, limit, course, credit, random):  # type: ignore[no-untyped-def]
     """Improve labels in place; they never get worse.
 
-    A restart reheats a region at random, and every other one then disturbs smaller ones. Where
-    reheats keep coming back to the best clustering, it is probably the optimum, and the search
-    ends; another clustering of the same cost says nothing. Where they keep ending above it, they
-    get longer.
+    A restart reheats a region at random, and every other one then disturbs smaller ones; where the
+    result is better, part by part (:func:`recombine`), it is kept. Where reheats keep coming back
+    to every cluster there is, they are probably the optimum, and the search ends; other clusters of
+    the same cost say nothing. Where reheats keep ending above it, they get longer.
 
     Args:
         weight: (n, n) symmetric costs, 0 on the diagonal and for pairs that share a token.
@@ -90,6 +90,7 @@ def search(weight, token_start, token, label, limit, course, random):  # type: i
         limit: Restarts after which to stop, those before this call included.
         course: (COURSE,) float64, see :func:`new_course`: what the next call goes on from, and the
             number of restarts and the change of the cost by each kind of move so far.
+        credit: (n,) float64 of each node, zero at first: how often its cluster was found again.
         random: (1,) uint64 state of the random draws, written.
 
     Returns:
@@ -98,11 +99,12 @@ def search(weight, token_start, token, label, limit, course, random):  # type: i
     state = build(weight, token_start, token, label)
     moves = _moves(weight, token_start, token)
     course[DESCENDED] += descend(state, moves, NONE)
-    label[:] = state.label
-    if is_lowest(state, moves.tiny):
-        return True
-    hot = _typical_cost(state)
-    return _restarts(state, moves, label, hot, limit, course, random)
+    kept = keep(state, credit)
+    ended = is_lowest(state, moves.tiny)
+    if not ended:
+        ended = _restarts(state, moves, kept, _typical_cost(state), limit, course, random)
+    label[:] = kept.label
+    return ended
 
 
 @compiled
@@ -127,8 +129,8 @@ def _moves(weight, token_start, token):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[no-untyped-def]
-    n = len(label)
+def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[no-untyped-def]
+    n = len(state.label)
     longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
     course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
     enough = course[_ENOUGH] * max(1.0, (n / _LOCAL) ** 2)  # a large one has more ways to go wrong
@@ -140,62 +142,41 @@ def _restarts(state, moves, label, hot, limit, course, random):  # type: ignore[
         count = draw_region(state, moves, n, n >> draw(random, levels), random)
         start = _HOTTEST * (_COOLEST / _HOTTEST) ** (draw(random, 1024) / 1024)
         sweeps = np.int64(course[_SWEEPS])
-        change = reheat(state, moves.region, count, hot * start, hot * _COLD, sweeps, random)
-        change += descend(state, moves, since)
-        if abs(change) > moves.tiny or is_same(state, label):
-            _note_return(course, change, moves.tiny, count / n * start / _HOTTEST, longest)
-        course[REHEATED] += _keep_better(state, label, change)
+        reheat(state, moves.region, count, hot * start, hot * _COLD, sweeps, random)
+        rest(state, kept, since)
+        descend(state, moves, since)
+        # one of all nodes from the highest temperature counts as 1: from near by it says less
+        share = count / n * start / _HOTTEST
+        change, worse = recombine(state, kept, moves.region, count, share, moves.tiny)
+        course[REHEATED] += change + _settle(state, moves, kept, change, worse)
+        _note_misses(course, change < -moves.tiny, worse / n * share, longest)
         for _ in range(sweeps // _SWEEPS_EACH if course[RESTARTS] % 2 == 1 else 0):
             since = state.number[1]
-            change = disturb(state, moves, random)
-            change += descend(state, moves, since)
-            course[DISTURBED] += _keep_better(state, label, change)
-            if change < -moves.tiny:
-                course[_RETURNS] = course[_MISSES] = 0.0
+            disturb(state, moves, random)
+            descend(state, moves, since)
+            change, worse = recombine(state, kept, moves.region, 0, 0.0, moves.tiny)
+            course[DISTURBED] += change + _settle(state, moves, kept, change, worse)
         course[RESTARTS] += 1
-        if course[_RETURNS] >= enough:
+        if is_confirmed(kept, enough):
             return True
     return False
 
 
 @inner
-def _keep_better(state, label, change):  # type: ignore[no-untyped-def]
-    """Save what has changed, or go back to what was saved; returns the gain, <= 0."""
-    if change > 0:
-        restore(state, label)
-        return 0.0
-    for i in range(len(label)):
-        label[i] = state.label[i]
-    return change
+def _settle(state, moves, kept, change, worse):  # type: ignore[no-untyped-def]
+    """Descend from what was made of two clusterings; the further change of the cost."""
+    total = 0.0
+    while change < -moves.tiny and worse > 0:
+        descend(state, moves, NONE)
+        change, worse = recombine(state, kept, moves.region, 0, 0.0, moves.tiny)
+        total += change
+    return total
 
 
 @inner
-def is_same(state, label):  # type: ignore[no-untyped-def]
-    """Whether the clusters are those of the labels, whatever their names."""
-    name, slot = state.listed[0], state.listed[1]
-    for i in range(len(label)):
-        name[state.label[i]] = slot[label[i]] = -1
-    for i in range(len(label)):
-        c = state.label[i]
-        if name[c] < 0 and slot[label[i]] < 0:
-            name[c], slot[label[i]] = label[i], c
-        elif name[c] != label[i] or slot[label[i]] != c:
-            return False
-    return True
-
-
-@inner
-def _note_return(course, change, tiny, share, longest):  # type: ignore[no-untyped-def]
-    """Count reheats that came back and reheats in vain.
-
-    One of all nodes from the highest temperature counts as 1: to come back from near by says less.
-    """
-    if change < -tiny:
-        course[_RETURNS] = course[_MISSES] = 0.0
-    elif change <= tiny:
-        course[_RETURNS] += share
-    else:
-        course[_MISSES] += share
+def _note_misses(course, gained, missed, longest):  # type: ignore[no-untyped-def]
+    """Count reheats in vain, and make them longer."""
+    course[_MISSES] = 0.0 if gained else course[_MISSES] + missed
     if course[_MISSES] >= _FRUITLESS:
         course[_MISSES] = 0.0
         course[_SWEEPS] = min(2 * course[_SWEEPS], longest)
