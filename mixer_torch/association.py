@@ -74,8 +74,12 @@ class Association:
 
     @property
     def gap(self) -> float | None:
-        """(objective - lower_bound) / |objective|: 0 is optimal; None where nothing is proven."""
-        if self.lower_bound is None:
+        """(objective - lower_bound) / |objective|: 0 is optimal.
+
+        None where nothing is proven, and where there are no labels: links that are not consistent
+        may lie below what no consistent answer can reach.
+        """
+        if self.lower_bound is None or self.labels is None:
             return None
         distance = max(self.objective - self.lower_bound, 0.0)
         return distance / max(abs(self.objective), 1e-12) if distance > 0 else 0.0

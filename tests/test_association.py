@@ -40,6 +40,13 @@ def test_gap(objective, bound, gap):
     assert answer.gap == (None if gap is None else pytest.approx(gap))
 
 
+def test_links_that_are_not_consistent_have_no_gap():
+    links = torch.tensor([[0, 0], [1, 2]])
+    answer = Association(None, -2.0, Status.INCONSISTENT, -1.0, declared_links=links)
+    assert answer.gap is None
+
+
+
 def test_labels_or_links_and_not_both():
     labels, links = torch.tensor([0, 1]), torch.zeros(2, 0, dtype=torch.int64)
     for wrong in ((labels, links), (None, None)):
