@@ -64,6 +64,16 @@ def test_configurations_of_the_project_are_valid(mixer, name):
     assert code == 0, err
 
 
+def test_scorers_may_come_from_another_file(mixer, tmp_path):
+    config = Path(__file__).parents[2] / "configs" / "pets_motion.yaml"
+    scorers = tmp_path / "scorers.yaml"
+    scorers.write_text("scorers: [{class_path: scorers.Color}]")
+    words = ["--config", config, "--config", scorers, "--out", "out", "--print_config"]
+    code, out, err = mixer("associate", *words)
+    assert code == 0, err
+    assert yaml.safe_load(out)["dataset"]["init_args"]["window"] == 1
+
+
 def test_importing_the_library_imports_nothing_heavy():
     code = (
         "import sys, mixer_torch, mixer_torch.cli\n"

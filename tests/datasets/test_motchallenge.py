@@ -6,8 +6,10 @@ import pytest
 import torch
 
 import mixer_torch as mx
+from mixer_torch.calibration_metrics import area_under_roc
 from mixer_torch.datasets.motchallenge import MOTChallenge, corners, read_table
 from scorers import Proximity
+from train.selectors import AtGaps
 
 SEQINFO = "[Sequence]\nname=toy\nimDir=img1\nframeRate=10\nseqLength=4\nimExt=.png\n"
 DET = """\
@@ -325,3 +327,19 @@ def test_the_benchmark_window_of_pets(real_data):
     assert seen.images.frame(0).shape == (576, 768, 3)
     assert seen["position"].isfinite().all()
     assert MOTChallenge(path).load().images is None
+
+
+@pytest.mark.real_data
+def test_velocity_tells_people_apart_better_than_distance(real_data):
+    # Sightings 2.9 s apart: where both would be halfway, against where they were.
+    seen = MOTChallenge("mot15/PETS09-S2L1", stop=150, pixels=False, window=1.0).load()
+    pairs = AtGaps([20], "frame", 0)(seen)
+    known = seen["velocity"].isfinite().all(1)
+    assert known.double().mean() > 0.6  # not of people half hidden, whose boxes come and go
+    pairs = pairs[:, known[pairs].all(0) & (seen["identity"][pairs] >= 0).all(0)]
+    same = seen["identity"][pairs[0]] == seen["identity"][pairs[1]]
+    stays, keeps = (
+        area_under_roc(torch.logit(Proximity(2.0, 5.0, swerve=swerve)(seen, pairs).double()), same)
+        for swerve in (None, 0.0)
+    )
+    assert keeps > stays + 0.05

@@ -170,3 +170,13 @@ def test_data_without_truth_says_so(config, tmp_path, capsys):
     (tmp_path / "train.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines) + "\n")
     assert mixer_train(["fit", "--config", str(config)]) == 2
     assert "identity" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parents[2] / "configs" / "train").glob("*.yaml"))
+)
+def test_configurations_of_the_project_are_valid(path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        mixer_train(["fit", "--config", str(path), "--print_config"])
+    assert ended.value.code == 0
+    assert yaml.safe_load(capsys.readouterr().out)["out"].startswith("out/train")
