@@ -42,7 +42,7 @@ def test_gap(objective, bound, gap):
 
 def test_links_that_are_not_consistent_have_no_gap():
     links = torch.tensor([[0, 0], [1, 2]])
-    answer = Association(None, -2.0, Status.INCONSISTENT, -1.0, declared_links=links)
+    answer = mx.Association(None, -2.0, mx.Status.INCONSISTENT, -1.0, declared_links=links)
     assert answer.gap is None
 
 
