@@ -32,7 +32,7 @@ GAINS = {
     "disturbances": DISTURBED,
 }
 # how often each cluster is found again before a search ends: of few restarts, of many, and between
-_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 7.0
+_FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 6.0
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps to a disturbance
