@@ -7,7 +7,7 @@ Three series, each step in a process of its own:
 - dense: all pairs of about m observations in 20 views, four modalities.
 - batch: 1,024 problems of about 50 observations, in one call and one after the other.
 
-Time does not grow with m everywhere: what fits into one matrix (1,000 nodes) is searched as a whole,
+Time does not grow with m everywhere: what fits into one matrix (1,000 nodes) is searched whole,
 the smaller the more often and the longer; larger problems are searched region by region.
 
 The peer on the same input is greedy contraction alone (GAEC), and followed by Kernighan-Lin with

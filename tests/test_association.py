@@ -46,7 +46,6 @@ def test_links_that_are_not_consistent_have_no_gap():
     assert answer.gap is None
 
 
-
 def test_labels_or_links_and_not_both():
     labels, links = torch.tensor([0, 1]), torch.zeros(2, 0, dtype=torch.int64)
     for wrong in ((labels, links), (None, None)):

@@ -133,7 +133,8 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
     n = len(state.label)
     longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
     course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
-    enough = course[_ENOUGH] * max(1.0, (n / _LOCAL) ** 1.5)  # a large one has more ways to go wrong
+    # a large one has more ways to go wrong
+    enough = course[_ENOUGH] * max(1.0, (n / _LOCAL) ** 1.5)
     levels = 1
     while n >> levels >= _LOCAL:
         levels += 1
