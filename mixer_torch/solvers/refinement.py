@@ -24,7 +24,8 @@ Progress = Callable[[float], None]
 RESTARTS = 400  # of one part at most
 FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
-DENSE = 1000  # nodes up to which a part is held as a matrix
+DENSE = 1000  # nodes up to which a part is held as a matrix; a larger one only where the matrix has
+FILLED = 0.25  # so large a share of entries that are listed
 LARGE_SHARE = 30  # a region of a large part gets this fraction of the restarts
 
 
@@ -127,7 +128,7 @@ def refine_parts(
     work, reported = np.cumsum(np.where(size > ENUMERABLE, size, 0)), 0
     for part in np.flatnonzero(size > ENUMERABLE):
         nodes = parts.order[parts.start[part] : parts.start[part + 1]]
-        if size[part] > DENSE:
+        if size[part] > DENSE and not _is_filled(graph, nodes):
             courses[part] += _search_large(graph, nodes, label, effort, random[part])
             names = named(graph, label)
         else:
@@ -138,6 +139,12 @@ def refine_parts(
     if graph.objective(label) > graph.objective(labels):  # by rounding, where nothing was gained
         label = labels
     return compact(label), courses, time.perf_counter() > effort.deadline
+
+
+def _is_filled(graph: Graph, nodes: np.ndarray) -> bool:
+    """Whether the lists of pairs are about as large as a matrix would be."""
+    listed = (graph.start[nodes + 1] - graph.start[nodes]).sum()
+    return bool(listed >= FILLED * len(nodes) ** 2)
 
 
 def _search_small(

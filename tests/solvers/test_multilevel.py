@@ -94,3 +94,24 @@ def test_large_parts_are_refined_without_a_matrix(monkeypatch: pytest.MonkeyPatc
     assert stats["objective"] < stats["start"]
     assert np.isclose(graph.objective(label), stats["objective"])
     assert (label == again).all()
+
+
+def test_large_parts_with_most_pairs_listed_are_searched_as_a_matrix(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    called = []
+
+    def refine_by_regions(graph, label, restarts, random, deadline, progress=None):
+        called.append(len(graph))
+        return refine_large(graph, label, restarts, random, deadline, progress)
+
+    monkeypatch.setattr(refinement, "refine_large", refine_by_regions)
+    sparse, full = video(2, 30, 8), video(2, 30, 8, window=30)
+    in_regions = refine_large(full, greedy(full), 5, np.array([0], np.uint64), np.inf)[0]
+    monkeypatch.setattr(refinement, "DENSE", 50)
+    label, _ = refinement.refine(full, greedy(full), restarts=5)
+    assert not called
+    assert full.is_feasible(label)
+    assert full.objective(label) < full.objective(in_regions)
+    refinement.refine(sparse, greedy(sparse), restarts=5)
+    assert called
