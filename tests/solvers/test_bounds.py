@@ -123,7 +123,7 @@ def test_time_is_kept_and_helps():
     best = mx.solve(affinity).objective
     start = time.perf_counter()
     little, more = (lower_bound(affinity, time_limit=limit) for limit in (0.05, 2.0))
-    assert time.perf_counter() - start < 60
+    assert time.perf_counter() - start < 6
     assert little < more <= best + 1e-6
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
+from mixer_torch.solvers import exact, mixer
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of, problem_of
 from mixer_torch.solvers.exact import Exact
 from mixer_torch.solvers.proof.branching import granularity
@@ -91,7 +92,7 @@ def test_what_time_allows_is_feasible_and_its_bound_holds():
     for limit in (0.0, 0.3):
         start = time.perf_counter()
         answer = mx.solve(affinity, Exact(time_limit=limit))
-        assert time.perf_counter() - start < limit + 60
+        assert time.perf_counter() - start < limit + 5
         assert answer.status is mx.Status.TIME_LIMIT
         assert answer.lower_bound < best.objective
         assert answer.objective <= 0
@@ -153,28 +154,42 @@ def test_arguments_are_checked():
         Exact(time_limit=-1)
 
 
-def test_a_part_too_large_for_a_program_is_bounded_within_the_time():
+def test_a_part_too_large_for_a_program_is_bounded_without_one(monkeypatch):
     """Two thousand nodes in a ring that all attract: one part, and too many pairs for a matrix."""
     m = 2000
     first = torch.arange(m)
     pairs = torch.stack([first, (first + 1) % m]).sort(0).values
     cost = torch.full((m,), -1.0)
     problem = Problem(pairs, cost, torch.arange(m), torch.full_like(cost, 0.5))
-    start = time.perf_counter()
+    monkeypatch.setattr(exact, "BranchAndCut", None)  # an error where it is called
     solution = Exact(time_limit=5).run(problem)
-    assert time.perf_counter() - start < 60
     assert solution.status is mx.Status.OPTIMAL
     assert objective_of(problem, solution.labels) == -m
     assert solution.lower_bound == pytest.approx(-m)
 
 
-def test_the_start_and_the_search_keep_to_the_time_limit():
+def test_the_start_has_half_of_the_time_and_the_search_ends_with_it(monkeypatch):
+    limits, deadlines = [], []
+
+    class Start(mx.Mixer):
+        def __init__(self, time_limit):
+            limits.append(time_limit)
+            super().__init__(time_limit=time_limit)
+
+    def prove(part, labels, deadline):
+        deadlines.append(deadline)
+        return original(part, labels, deadline)
+
+    original = exact.prove
+    monkeypatch.setattr(mixer, "Mixer", Start)
+    monkeypatch.setattr(exact, "prove", prove)
     cost = torch.randn(200 * 199 // 2, generator=torch.Generator().manual_seed(0))
     pairs = torch.triu_indices(200, 200, 1)
     problem = Problem(pairs, cost, torch.arange(200), torch.full_like(cost, 0.5))
-    Exact(time_limit=0.1).run(problem)  # compiled, whatever that takes
-    start = time.perf_counter()
+    before = time.perf_counter()
     solution = Exact(time_limit=1).run(problem)
-    assert time.perf_counter() - start < 60
+    assert limits == [0.5]
+    assert deadlines
+    assert all(deadline < before + 1.1 for deadline in deadlines)  # set before anything is run
     assert objective_of(problem, solution.labels) < 0
     assert solution.lower_bound < objective_of(problem, solution.labels)
