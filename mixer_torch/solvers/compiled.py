@@ -19,6 +19,12 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _HALF = np.uint64(32)  # bits
 _MIX_2 = np.uint64(0x94D049BB133111EB)
+_INNER = {
+    "_nrt": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "forceinline": True,
+}
 
 
 def _version() -> str:
@@ -44,8 +50,12 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def inner(function: Callable[..., Any]) -> Any:
-    """Compile what only kernels call and what makes no array: less code, no reference counts."""
-    return _compiled(function, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """Compile into the kernels that call it what makes no array.
+
+    A call would pass every field of every array of a state, a hundred values and more, through
+    memory: that took longer than what most of these functions do.
+    """
+    return _compiled(function, **_INNER)
 
 
 def vectorised(function: Callable[..., Any]) -> Any:
@@ -54,13 +64,7 @@ def vectorised(function: Callable[..., Any]) -> Any:
     The order is fixed in the machine code, so the same input gives the same sum. Entries must be
     finite.
     """
-    return _compiled(
-        function,
-        fastmath={"reassoc", "nsz", "nnan", "contract"},
-        _nrt=False,
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-    )
+    return _compiled(function, fastmath={"reassoc", "nsz", "nnan", "contract"}, **_INNER)
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:

@@ -97,7 +97,8 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
         minimise  cost inside the two clusters, over the sides of their units
 
     (Kernighan and Lin, Bell System Technical Journal 49, 1970; with one cluster empty it splits
-    the other, and a prefix that empties one joins them: Keuper et al., ICCV 2015.)
+    the other, and a prefix that empties one joins them: Keuper et al., ICCV 2015.) To change sides
+    is the same for some units as for all of the others, so the chain takes half of them.
 
     Returns:
         The change of the cost, 0 where no prefix gains.
@@ -106,7 +107,8 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
     units = _units(state, scratch, first, second, count)
     _flips(state, scratch, count, units)
     cost, best, length = 0.0, -tiny, 0
-    for step in range(units):
+    half = (units + 1) // 2
+    for step in range(half):
         chosen = NONE
         for u in range(units):
             if not scratch.locked[u] and (chosen < 0 or scratch.flip[u] < scratch.flip[chosen]):
@@ -116,7 +118,7 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
         scratch.locked[chosen] = True
         if cost < best:
             best, length = cost, step + 1
-        if step + 1 < units:
+        if step + 1 < half:
             _change_sides(state, scratch, chosen, count)
     if length == 0:
         return 0.0

@@ -33,6 +33,7 @@ GAINS = {
 }
 # how often each cluster is found again before a search ends: of few restarts, of many, and between
 _FEW, _MANY, _RETURNS_BETWEEN = 0.03, 0.007, 6.0
+_WITHOUT_TOKENS = 2.0  # times as often
 _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps to a disturbance
@@ -98,7 +99,7 @@ def search(weight, token_start, token, label, limit, course, credit, random):  #
     """
     state = build(weight, token_start, token, label)
     moves = _moves(weight, token_start, token)
-    course[DESCENDED] += descend(state, moves, NONE)
+    course[DESCENDED] += descend(state, moves, keep(state, credit), NONE)
     kept = keep(state, credit)
     ended = is_lowest(state, moves.tiny)
     if not ended:
@@ -133,8 +134,9 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
     n = len(state.label)
     longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
     course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
-    # a large one has more ways to go wrong
-    enough = course[_ENOUGH] * max(1.0, (n / _LOCAL) ** 1.5)
+    # a large one has more ways to go wrong, and so has one without tokens, which forbid many
+    least = 1.0 if len(moves.carrier_start) > 1 else _WITHOUT_TOKENS
+    enough = course[_ENOUGH] * max(least, (n / _LOCAL) ** 1.5)
     levels = 1
     while n >> levels >= _LOCAL:
         levels += 1
@@ -145,7 +147,7 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
         sweeps = np.int64(course[_SWEEPS])
         reheat(state, moves.region, count, hot * start, hot * _COLD, sweeps, random)
         rest(state, kept, since)
-        descend(state, moves, since)
+        descend(state, moves, kept, since)
         # one of all nodes from the highest temperature counts as 1: from near by it says less
         share = count / n * start / _HOTTEST
         change, worse = recombine(state, kept, moves.region, count, share, moves.tiny)
@@ -154,7 +156,7 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
         for _ in range(sweeps // _SWEEPS_EACH if course[RESTARTS] % 2 == 1 else 0):
             since = state.number[1]
             disturb(state, moves, random)
-            descend(state, moves, since)
+            descend(state, moves, kept, since)
             change, worse = recombine(state, kept, moves.region, 0, 0.0, moves.tiny)
             course[DISTURBED] += change + _settle(state, moves, kept, change, worse)
         course[RESTARTS] += 1
@@ -168,7 +170,7 @@ def _settle(state, moves, kept, change, worse):  # type: ignore[no-untyped-def]
     """Descend from what was made of two clusterings; the further change of the cost."""
     total = 0.0
     while change < -moves.tiny and worse > 0:
-        descend(state, moves, NONE)
+        descend(state, moves, kept, NONE)
         change, worse = recombine(state, kept, moves.region, 0, 0.0, moves.tiny)
         total += change
     return total
@@ -184,10 +186,11 @@ def _note_misses(course, gained, missed, longest):  # type: ignore[no-untyped-de
 
 
 @inner
-def descend(state, moves, since):  # type: ignore[no-untyped-def]
+def descend(state, moves, kept, since):  # type: ignore[no-untyped-def]
     """All moves in turn, the cheap ones first, until none gains.
 
-    What has not changed since a kind of move had its last turn is at rest already.
+    What has not changed since a kind of move had its last turn is at rest already, and so are
+    clusters that came back to what is kept: they are told before the dearest move.
 
     Returns:
         The change of the cost.
@@ -205,6 +208,8 @@ def descend(state, moves, since):  # type: ignore[no-untyped-def]
             changed += merge(state, merged, tiny)
             merged = now
         if state.number[1] == now:
+            if since >= 0:
+                rest(state, kept, since)
             changed += exchange_all(state, moves.exchange, exchanged, tiny)
             exchanged = now
             if state.number[1] == now:
