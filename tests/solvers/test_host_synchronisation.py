@@ -13,7 +13,7 @@ from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers import relaxation
 from mixer_torch.solvers.gradient import annealing, descent
 from mixer_torch.solvers.gradient.batch import Batch
-from mixer_torch.solvers.gradient.momentum import advance
+from mixer_torch.solvers.gradient.momentum import travel
 from mixer_torch.solvers.gradient.projection import project_rows
 from mixer_torch.solvers.gradient.stage import GradientStage
 from mixer_torch.solvers.mixer import Mixer
@@ -174,18 +174,19 @@ def test_the_paper_s_schedule_gives_what_the_cpu_gives(device):
 
 def test_both_paths_of_a_step_do_the_same(device):
     keep = rows(3, SHAPE[:2]) > 0.2
-    hold, back = rows(4, (2, SHAPE[0]))
-    assignment, ahead = (project_rows(rows(seed), keep) for seed in (0, 1))
-    arguments = assignment, ahead, rows(2), hold, -back, keep
-    there = [x.to(DEVICE) for x in arguments]
+    hold, back = rows(4, (2, 3, SHAPE[0]))
+    arguments = project_rows(rows(), keep), hold, -back, keep
+    matrix, loose = rows(1, (SHAPE[0], SHAPE[1], SHAPE[1])), rows(2)
+    at_most = hold[0] > hold[0].median()
+    there = [x.to(DEVICE) for x in (*arguments, matrix, loose, at_most)]
     device.waits.clear()
-    found = advance(*there)
-    loose = project_rows(there[2], there[5], there[3] > hold.median())
+    found = travel(*there[:4], lambda t, ahead: (t + 1) * torch.bmm(there[4], ahead))
+    projected = project_rows(there[5], there[3], there[6])
     assert not device.waits
-    for one, other in zip(found, advance(*arguments), strict=True):
+    expected = travel(*arguments, lambda t, ahead: (t + 1) * torch.bmm(matrix, ahead))
+    for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one.value, other, atol=1e-5, rtol=1e-5)
-    at_most = hold > hold.median()
-    torch.testing.assert_close(loose.value, project_rows(rows(2), keep, at_most))
+    torch.testing.assert_close(projected.value, project_rows(loose, keep, at_most))
 
 
 def test_the_relaxed_problem_makes_nobody_wait(device):

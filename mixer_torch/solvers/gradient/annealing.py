@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mixer_torch.solvers.gradient.batch import Batch, Descent
-from mixer_torch.solvers.gradient.momentum import advance
+from mixer_torch.solvers.gradient.momentum import travel
 from mixer_torch.solvers.gradient.projection import project_rows
 
 RELAXATION = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot
@@ -54,26 +54,22 @@ def anneal(
         seed: Of the small disturbance from which the columns part.
         precision: "float32" for matrix products in the dtype of the costs, "tf32" or "bfloat16".
     """
-    cost, keep = batch.cost, batch.mask
-    low, high = extreme_eigenvalues(cost, seed)
+    low, high = extreme_eigenvalues(batch.cost, seed)
     scale = torch.where(low < 0, -low, 1.0)
-    cost = cost / scale[:, None, None]
+    cost = batch.cost / scale[:, None, None]
     curvature, weight = _sweep(iterations)
     step = _steps(curvature, weight, high / scale, batch.distinctness.sum(2).amax(1))
     c = torch.tensor(curvature).to(step, non_blocking=True)[:, None]
-    hold = (1 + c * step).unbind()
-    back = (-step).unbind()
-    assignment = _first(batch, columns, seed)
-    ahead, matrix = assignment.clone(), torch.empty_like(cost)
-    multiply = _products(precision)
-    forms = []
+    matrix, multiply = torch.empty_like(cost), _products(precision)
+
+    def product(t: int, ahead: Tensor) -> Tensor:
+        torch.add(cost, batch.distinctness, alpha=weight[t], out=matrix)
+        return multiply(matrix, ahead)
+
     with _allowed_tf32(precision, cost.device):
-        for t in range(iterations):
-            torch.add(cost, batch.distinctness, alpha=weight[t], out=matrix)
-            product = multiply(matrix, ahead)
-            assignment, ahead, form = advance(assignment, ahead, product, hold[t], back[t], keep)
-            forms.append(form)
-    pair_cost, square = torch.stack(forms).unbind(1)
+        start = _first(batch, columns, seed)
+        assignment, forms = travel(start, 1 + c * step, -step, batch.mask, product)
+    pair_cost, square = forms.unbind(1)
     concave = c * (batch.mask.sum(1) - square)
     count = torch.full_like(scale, iterations, dtype=torch.int64)
     penalty = torch.full_like(scale, DISTINCTNESS[-1])

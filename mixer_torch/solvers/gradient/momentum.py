@@ -1,6 +1,8 @@
-"""One step of projected gradient descent with momentum on a padded batch."""
+"""Steps of projected gradient descent with momentum on a padded batch."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -13,6 +15,45 @@ from mixer_torch.solvers.gradient.projection import project_row, project_rows
 MOMENTUM = 0.5
 
 
+def travel(
+    assignment: Float[Tensor, "B m k"],
+    hold: Float[Tensor, "T B"],
+    back: Float[Tensor, "T B"],
+    keep: Bool[Tensor, "B m"],
+    product: Callable[[int, Tensor], Tensor],
+) -> tuple[Float[Tensor, "B m k"], Float[Tensor, "T 2 B"]]:
+    """Step after step from U, with Y = U at first.
+
+        U⁺ = P(hold Y + back A Y),     Y⁺ = U⁺ + MOMENTUM (U⁺ − U)
+
+    with P onto the simplex, row by row, and 0 in rows that are not kept. On the CPU a step is
+    compiled, in one pass over the memory.
+
+    Args:
+        assignment: U, which may be written.
+        hold: Of each step and problem.
+        back: Likewise.
+        keep: Rows that are no padding.
+        product: A Y at a step, for the matrix A of the objective's quadratic form.
+
+    Returns:
+        The last U, and <Y, A Y> and <Y, Y> at each step.
+    """
+    ahead, forms = assignment.clone(), []
+    if ahead.device.type != "cpu":
+        for t, (own, other) in enumerate(zip(hold.unbind(), back.unbind(), strict=True)):
+            moved = product(t, ahead)
+            assignment, ahead, form = advance(assignment, ahead, moved, own, other, keep)
+            forms.append(form)
+        return assignment, torch.stack(forms)
+    told = ahead.new_empty(len(hold), 2, len(ahead))
+    # looked at once: in small batches the looking takes as long as the work, and threads wait for it
+    arrays = [x.numpy() for x in (assignment, ahead, keep, hold, back, told)]
+    for t in range(len(hold)):
+        _advance(t, *arrays, product(t, ahead).numpy())
+    return assignment, told
+
+
 def advance(
     assignment: Float[Tensor, "B m k"],
     ahead: Float[Tensor, "B m k"],
@@ -21,41 +62,7 @@ def advance(
     back: Float[Tensor, " B"],
     keep: Bool[Tensor, "B m"],
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The next U, where its momentum leads, and what the point it came from says of the objective.
-
-        U⁺ = P(hold Y + back A Y),     Y⁺ = U⁺ + MOMENTUM (U⁺ − U)
-
-    with P onto the simplex, row by row, and 0 in rows that are not kept. On the CPU it is compiled,
-    in one pass over the memory, and writes to ``assignment`` and ``ahead``.
-
-    Args:
-        assignment: U.
-        ahead: Y.
-        product: A Y, for the matrix A of the objective's quadratic form.
-        hold: Of each problem.
-        back: Of each problem.
-        keep: Rows that are no padding.
-
-    Returns:
-        U⁺, Y⁺, and (2, B): <Y, A Y> and <Y, Y>.
-    """
-    if ahead.device.type == "cpu":
-        forms = ahead.new_empty(2, len(ahead))
-        arrays = (assignment, ahead, product, hold, back, keep, forms)
-        _advance(*(array.numpy() for array in arrays))
-        return assignment, ahead, forms
-    return advance_anywhere(assignment, ahead, product, hold, back, keep)
-
-
-def advance_anywhere(
-    assignment: Float[Tensor, "B m k"],
-    ahead: Float[Tensor, "B m k"],
-    product: Float[Tensor, "B m k"],
-    hold: Float[Tensor, " B"],
-    back: Float[Tensor, " B"],
-    keep: Bool[Tensor, "B m"],
-) -> tuple[Tensor, Tensor, Tensor]:
-    """:func:`advance` in torch alone, on any device; writes to none of its arguments."""
+    """A step of :func:`travel` in torch alone, on any device: U⁺, Y⁺ and the two forms (2, B)."""
     flat = ahead.flatten(1)
     forms = torch.stack(
         [torch.linalg.vecdot(flat, product.flatten(1)), torch.linalg.vecdot(flat, flat)]
@@ -66,7 +73,7 @@ def advance_anywhere(
 
 
 @compiled
-def _advance(assignment, ahead, product, hold, back, keep, forms):  # type: ignore[no-untyped-def]
+def _advance(t, assignment, ahead, keep, hold, back, forms, product):  # type: ignore[no-untyped-def]
     push = assignment.dtype.type(MOMENTUM)
     row = np.empty(assignment.shape[2], assignment.dtype)
     for b in range(len(assignment)):
@@ -76,12 +83,12 @@ def _advance(assignment, ahead, product, hold, back, keep, forms):  # type: igno
                 assignment[b, i] = 0
                 ahead[b, i] = 0
                 continue
-            own, norm = _target(ahead, product, b, i, hold[b], back[b], row)
+            own, norm = _target(ahead, product, b, i, hold[t, b], back[t, b], row)
             value += own
             square += norm
             project_row(row, False)
             _follow(assignment, ahead, b, i, row, push)
-        forms[0, b], forms[1, b] = value, square
+        forms[t, 0, b], forms[t, 1, b] = value, square
 
 
 @vectorised
