@@ -223,7 +223,7 @@ def real_video(cache):
         fresh = table.of_identities(~torch.isin(identity, known) | (identity < 0))
         tests = [("PETS 160-780", table), ("its new persons", fresh)]
         rows += compare(name, data, tests, ceiling=True)
-    # There is no calibration of TUD-Stadtmitte, so no position.
+    # TUD-Stadtmitte without its ground, which no file of calibration but only its truth tells.
     without_position = [IoU(max_gap=DENSE[0] + 0.05, feature="time"), *scorers[2:]]
     sparse_town = [MOTChallenge("mot15/TUD-Stadtmitte", step=18)]
     across = PairData(without_position, pets, pets, sparse_town, AtGaps(DENSE), cache=cache)

@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float, Float64
 
+from mixer_torch.datasets.fitted_ground import fit_homography, is_truth
+
 MILLIMETRES = 1000.0
 # On PETS09-S2L1 the true boxes land 3.8 cm (median) from their true ground positions; 12 cm
 # without this shift.
@@ -305,6 +307,9 @@ Calibration = Homography | Tsai | Pinhole
 def read_calibration(path: str | Path, name: str | None = None) -> Calibration:
     """A Tsai camera from ``.xml``, a pinhole from ``.json`` or ``.mat``, else a homography.
 
+    A homography is nine numbers, or is fitted to a table of truth with ground positions
+    (:func:`~mixer_torch.datasets.fitted_ground.fit_homography`).
+
     Args:
         path: The file.
         name: The camera, in a ``.mat`` file of several.
@@ -323,7 +328,9 @@ def read_calibration(path: str | Path, name: str | None = None) -> Calibration:
         raise ValueError(f"name: {path} has one camera and no names, got {name!r}")
     if suffix == ".json":
         return Pinhole.from_json(path)
-    return Tsai.from_xml(path) if suffix == ".xml" else Homography.from_text(path)
+    if suffix == ".xml":
+        return Tsai.from_xml(path)
+    return Homography(fit_homography(path)) if is_truth(path) else Homography.from_text(path)
 
 
 def find_calibration(folder: Path) -> Calibration | None:

@@ -17,6 +17,8 @@ from mixer_torch.datasets.local_motion import local_motion
 from mixer_torch.datasets.motchallenge_files import (
     SequenceInfo,
     as_confidence,
+    corners,
+    foot_points,
     read_repaired,
     read_seqinfo,
     read_table,
@@ -45,7 +47,8 @@ class MOTChallenge(Dataset):
 
     Frames are read from ``img1/000001.jpg``, ... (folder and ending as in ``seqinfo.ini``), or
     from the one file in ``video/``, whose k-th frame, from 1, is frame k. A calibration is a Tsai
-    camera, ``calib/*.xml``, or ``homography.txt``, 3x3 from pixels to ground metres.
+    camera, ``calib/*.xml``, or ``homography.txt``, 3x3 from pixels to ground metres. Where there
+    is none but truth has ground positions (``gt/gt.txt`` of MOT15), ``calibration`` can name that.
 
     Args:
         path: The folder, as it is or inside ``$MIXER_DATA``.
@@ -57,7 +60,9 @@ class MOTChallenge(Dataset):
         min_overlap: Intersection over union from which a detection is a true box's.
         classes: Classes to keep of truth that has a class column; 1 is pedestrians.
         pixels: Whether to attach images; if None, where every frame with observations has one.
-        calibration: Calibration file; if None, the one in the folder, if there is one.
+        calibration: Calibration file, as it is or inside ``$MIXER_DATA``
+            (:func:`~mixer_torch.datasets.calibration.read_calibration`); if None, the one in the
+            folder, if there is one.
         frame_rate: Frames per second where there is no ``seqinfo.ini`` to say it.
         truth: Whether to read ``gt/gt.txt`` for identities, where it is there.
         repair: Take what can be used of a detection file that is not quite right (see
@@ -261,16 +266,6 @@ class MOTChallenge(Dataset):
                 "choose frames that have an image, or set pixels to null or false"
             )
         return None
-
-
-def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"]:
-    """Boxes x1 y1 x2 y2 from left, top, width, height in columns 2 to 5."""
-    return np.concatenate([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6]], 1)
-
-
-def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
-    """Where each box meets the ground: the middle of its lower edge."""
-    return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])
 
 
 def in_space(point: Float64[np.ndarray, "m 2"]) -> np.ndarray:

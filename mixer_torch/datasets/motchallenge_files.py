@@ -127,6 +127,16 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
     return rows
 
 
+def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"]:
+    """Boxes x1 y1 x2 y2 from left, top, width, height in columns 2 to 5."""
+    return np.concatenate([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6]], 1)
+
+
+def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
+    """Where each box meets the ground: the middle of its lower edge."""
+    return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])
+
+
 def read_repaired(
     path: Path, info: SequenceInfo, last: int | None = None
 ) -> tuple[Float64[np.ndarray, "n columns"], list[str]]:
