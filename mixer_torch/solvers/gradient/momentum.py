@@ -47,7 +47,7 @@ def travel(
             forms.append(form)
         return assignment, torch.stack(forms)
     told = ahead.new_empty(len(hold), 2, len(ahead))
-    # looked at once: in small batches the looking takes as long as the work, and threads wait for it
+    # looked at once: for small batches that takes as long as the work, and threads wait for it
     arrays = [x.numpy() for x in (assignment, ahead, keep, hold, back, told)]
     for t in range(len(hold)):
         _advance(t, *arrays, product(t, ahead).numpy())
