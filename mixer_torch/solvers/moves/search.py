@@ -38,7 +38,7 @@ _FRUITLESS = 4.0  # reheats that end above the best after which they get longer
 _SWEEPS_FIRST = 20  # of a reheat
 _SWEEPS_EACH = 20  # sweeps to a disturbance
 # temperatures from which a reheat starts and at which it ends, in units of what a place costs
-_HOTTEST, _COOLEST, _COLD = 0.6, 0.2, 0.1
+_HOTTEST, _COOLEST, _COLD, _COLD_WITHOUT_TOKENS = 0.6, 0.2, 0.1, 0.15
 _LOCAL = 64  # nodes in the smallest region of reheats
 _CLUSTERS = 16  # most clusters that a disturbance takes apart
 _REGION = np.int64(64)  # nodes after which a disturbance takes no further cluster
@@ -135,7 +135,9 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
     longest = max(_SWEEPS_FIRST, min(n * n // 100, 10_000_000 // (n * n)))
     course[_SWEEPS] = max(course[_SWEEPS], min(_SWEEPS_FIRST, longest))
     # a large one has more ways to go wrong, and so has one without tokens, which forbid many
-    least = 1.0 if len(moves.carrier_start) > 1 else _WITHOUT_TOKENS
+    least, cold = 1.0, _COLD
+    if len(moves.carrier_start) == 1:
+        least, cold = _WITHOUT_TOKENS, _COLD_WITHOUT_TOKENS
     enough = course[_ENOUGH] * max(least, (n / _LOCAL) ** 1.5)
     levels = 1
     while n >> levels >= _LOCAL:
@@ -145,7 +147,7 @@ def _restarts(state, moves, kept, hot, limit, course, random):  # type: ignore[n
         count = draw_region(state, moves, n, n >> draw(random, levels), random)
         start = _HOTTEST * (_COOLEST / _HOTTEST) ** (draw(random, 1024) / 1024)
         sweeps = np.int64(course[_SWEEPS])
-        reheat(state, moves.region, count, hot * start, hot * _COLD, sweeps, random)
+        reheat(state, moves.region, count, hot * start, hot * cold, sweeps, random)
         rest(state, kept, since)
         descend(state, moves, kept, since)
         # one of all nodes from the highest temperature counts as 1: from near by it says less
