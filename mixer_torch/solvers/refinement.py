@@ -23,6 +23,7 @@ from mixer_torch.solvers.moves.search import RESTARTS as RUN
 Progress = Callable[[float], None]
 RESTARTS = 400  # of one part at most
 FULL = 100, 250  # nodes of the smallest and largest parts that get all of these
+LEAST = 0.075  # the fraction of them that a large part gets
 CHUNK = 2000  # work (nodes x restarts) between two looks at the clock
 DENSE = 1000  # nodes up to which a part is held as a matrix; a larger one only where the matrix has
 FILLED = 0.25  # so large a share of entries that are listed
@@ -172,7 +173,7 @@ def _search_small(
 def restarts_of(size: int, restarts: int) -> int:
     """Most restarts of a part: small ones need few, and in large ones each takes long."""
     smallest, largest = FULL
-    return math.ceil(restarts * min(1.0, size / smallest, (largest / size) ** 2))
+    return math.ceil(restarts * min(1.0, size / smallest, max((largest / size) ** 2, LEAST)))
 
 
 def _search_large(
