@@ -296,12 +296,16 @@ def plot(rows, path):
     for (series, device), group in comparison.grouped(rows, "series", "device").items():
         group = [row for row in group if row["seed"] == 0]
         m = [row["m"] for row in group]
-        for axis, key in zip(axes, ("seconds", "peak_mib"), strict=True):
-            axis.plot(m, [row[key] for row in group], "o-", label=f"{series}, {device}")
-    for axis, name in zip(axes, ("time, s", "peak memory, MiB"), strict=True):
+        # what fits into memory that the process has freed before cannot be seen
+        memory = [max(row["peak_mib"], 1) for row in group]
+        for axis, value in zip(axes, ([row["seconds"] for row in group], memory), strict=True):
+            axis.plot(m, value, "o-", label=f"{series}, {device}")
+    for axis, name in zip(axes, ("time, s", "peak memory, MiB (1 or less as 1)"), strict=True):
         axis.set(xscale="log", yscale="log", xlabel="observations m", ylabel=name)
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), fontsize=8, ncols=4, loc="outside upper center"
+    )
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
