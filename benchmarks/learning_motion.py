@@ -20,7 +20,8 @@ then 2, 73, 144, ..., two or three views each. The rule that chooses by it, in t
 
 It chooses pairs of up to 40 frames (F1 0.755, against 0.713 and 0.751 for up to 20 and 60) and the
 mean of eight networks over distance, motion, colour and embedding (Cllr 0.289; 0.299 without the
-embedding). Both were written down before any of these models was tried on the window.
+embedding). The rule was written down before any of these figures was known, and chose before any of
+these models was tried on the window; older figures of the window were known.
 
 Then "window" is the later frames: all persons, and those who are not in frames 1-150; networks of
 five seeds. With --training_only, the window is not looked at; with --without_ground, the ground of
