@@ -52,7 +52,7 @@ def fit_homography(path: Path) -> Float64[np.ndarray, "3 3"]:
     known = np.isfinite(ground).all(1) & (ground != UNKNOWN).any(1)
     if len(rows) and not known.any():
         raise ValueError(
-            f"{path}: expected ground positions in columns 8 and 9, all are {UNKNOWN:g}"
+            f"{path}: expected ground positions in columns 8 and 9, all are {UNKNOWN:g} or NaN"
         )
     points, ground = foot_points(corners(rows[known])), ground[known]
     if len(points) < FEWEST:

@@ -81,6 +81,12 @@ def test_too_little_to_tell(tmp_path, ground, columns, message):
     assert str(file) in str(caught.value)
 
 
+def test_positions_that_are_nan_are_not_known(tmp_path):
+    file = truth(tmp_path / "gt.txt", np.full((9, 2), np.nan), seen(walks(9)))
+    with pytest.raises(ValueError, match="columns 8 and 9, all are -1 or NaN"):
+        read_calibration(file)
+
+
 def test_a_camera_that_moves_is_refused(tmp_path):
     ground = walks(60)
     drift = np.column_stack([np.arange(60.0), np.zeros(60)])
