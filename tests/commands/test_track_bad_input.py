@@ -212,6 +212,15 @@ def test_without_trackeval_there_are_no_metrics(track, monkeypatch):
     assert len(text_of("walk").splitlines()) == 10
 
 
+@pytest.fixture
+def heard():
+    """Interrupts reach Python, also where whoever started the tests has them ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_a_run_that_is_interrupted_leaves_what_it_has_finished(track):
     for name in ("a", "b", "c"):
         write_frames(write_sequence(name), 5)
