@@ -5,5 +5,6 @@ from scorers.iou import IoU
 from scorers.motion import Motion
 from scorers.proximity import Proximity
 from scorers.sift import SIFT
+from scorers.tracklet import Tracklet
 
-__all__ = ["SIFT", "Color", "IoU", "Motion", "Proximity"]
+__all__ = ["SIFT", "Color", "IoU", "Motion", "Proximity", "Tracklet"]

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from mixer_torch.observations import Observations
 from mixer_torch.scoring import Calibrator, Scorer
-from mixer_torch.tracking.motion import MotionModel, State, log_ratio
-from mixer_torch.tracking.tracklets import PATH_FEATURES, without_paths
+from mixer_torch.tracking.motion import MotionModel
+from mixer_torch.tracking.tracklets import PATH_FEATURES, path_log_ratio, without_paths
 from scorers.calibration import Logistic
 
 PATIENCE = 0.2  # seconds
@@ -89,14 +89,10 @@ class Motion(Scorer):
 
     def compare(self, description: Any, pairs: Tensor) -> Tensor:
         span, entry, leaving, camera, sure = description
-        first = span[pairs[0], 0] <= span[pairs[1], 0]
-        a, b = torch.where(first, pairs, pairs.flip(0))
-        seconds = span[b, 0] - span[a, 1]
-        earlier, later = State.unpacked(leaving[a]), State.unpacked(entry[b])
-        height = ((earlier.mean[:, 2, 0] + later.mean[:, 2, 0]) / 2).exp()
-        ratio = log_ratio(earlier, later, seconds, height, self.model).sum(1)
+        ratio, seconds = path_log_ratio(span, entry, leaving, pairs, self.model)
         ratio = ratio - math.log(self.strangers)
         believed = self.weight * ratio.clamp(-self.limit, self.limit)
+        a, b = pairs
         outweighed = (believed - self._burden(seconds, torch.minimum(sure[a], sure[b]))).clamp(
             min=0
         )

@@ -224,6 +224,15 @@ class Tracker(BaseTracker):
         affinity = score(known, [*self.scorers, *looks(self.appearance)], pairs, progress)
         return solve(affinity, self.solver, self.fusion, must_link=must_link)
 
+    def tracklets(self, observations: Observations, labels: Int64[Tensor, " m"]) -> Observations:
+        """The clusters 0.. as observations of their own
+        (:func:`~mixer_torch.tracking.tracklets.summarised`).
+        """
+        known = with_paths(
+            observations, labels, self.model, self.tracklet_memory, self.tracklet_inflation
+        )
+        return summarised(with_looks(known, self.appearance), labels)
+
     def join(
         self,
         observations: Observations,
@@ -241,10 +250,7 @@ class Tracker(BaseTracker):
             settled: Which tracklets are known to be of different objects, each of its own.
             progress: Told what is done while it goes on.
         """
-        known = with_paths(
-            observations, labels, self.model, self.tracklet_memory, self.tracklet_inflation
-        )
-        tracklets = summarised(with_looks(known, self.appearance), labels)
+        tracklets = self.tracklets(observations, labels)
         pairs = successive(tracklets, gap, self.reach, self.speed, self.growth)
         if settled is not None:
             tracklets = replace(tracklets, view=torch.where(settled, 0, -1))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
 from mixer_torch.tracking.appearance import APPEARANCE, pooled
 from mixer_torch.tracking.motion import (
     MotionModel,
+    State,
     box_position,
     filtered,
     first_state,
+    log_ratio,
     resolution,
 )
 
@@ -20,6 +22,10 @@ PATH_FEATURES = ("span", "entry", "exit")
 """Features that tell how something came and went: ``span`` (m, 2), the times of its first and last
 sight, and the packed states ``entry``, judged by what followed the first, and ``exit``, by what
 preceded the last (see :class:`mixer_torch.tracking.motion.State`)."""
+
+TRACKLET_FEATURES = ("tracklet", *(f"tracklet_{name}" for name in PATH_FEATURES))
+"""Features that tell which tracklet an observation is of, by number, and how that came and went:
+span, entry and exit of the whole tracklet."""
 
 
 def with_paths(
@@ -52,6 +58,35 @@ def with_paths(
     ]
     span = torch.stack([time, time], 1)
     return observations.with_features(span=span, entry=states[0], exit=states[1])
+
+
+def path_log_ratio(
+    span: Float[Tensor, "m 2"],
+    entry: Float[Tensor, "m 3 5"],
+    leaving: Float[Tensor, "m 3 5"],
+    pairs: Int64[Tensor, "2 P"],
+    model: MotionModel,
+) -> tuple[Float[Tensor, " P"], Float[Tensor, " P"]]:
+    """Does a path lead from the exit of the one that came first to the entry of the other?
+
+    Args:
+        span: Feature, one of :data:`PATH_FEATURES`.
+        entry: Feature.
+        leaving: The feature ``exit``.
+        pairs: Which to compare.
+        model: How things move.
+
+    Returns:
+        The log likelihood ratio (:func:`~mixer_torch.tracking.motion.log_ratio`, all axes), nats,
+        and the seconds between exit and entry: not positive where both overlap in time, and then
+        the ratio means nothing.
+    """
+    first = span[pairs[0], 0] <= span[pairs[1], 0]
+    a, b = torch.where(first, pairs, pairs.flip(0))
+    seconds = span[b, 0] - span[a, 1]
+    earlier, later = State.unpacked(leaving[a]), State.unpacked(entry[b])
+    height = ((earlier.mean[:, 2, 0] + later.mean[:, 2, 0]) / 2).exp()
+    return log_ratio(earlier, later, seconds, height, model).sum(1), seconds
 
 
 def without_paths(observations: Observations, model: MotionModel) -> Observations:
@@ -109,6 +144,17 @@ def summarised(observations: Observations, labels: Int64[Tensor, " m"]) -> Obser
         if name in ("confidence", "embedding") or name.startswith(APPEARANCE):
             features[name] = pooled(value, labels, count)
     return Observations(torch.full((count,), -1, device=labels.device), features)
+
+
+def tracklet_features(tracklets: Observations, labels: Int64[Tensor, " m"]) -> dict[str, Tensor]:
+    """:data:`TRACKLET_FEATURES` of observations of the tracklets ``labels``.
+
+    Args:
+        tracklets: From :func:`summarised`.
+        labels: Of which tracklet each is.
+    """
+    path = (tracklets[name][labels] for name in PATH_FEATURES)
+    return dict(zip(TRACKLET_FEATURES, (labels, *path), strict=True))
 
 
 def overlapping(span: Tensor, camera: Int64[Tensor, " n"] | None = None) -> Int64[Tensor, "2 K"]:
