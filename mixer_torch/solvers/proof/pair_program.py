@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
-import highspy
 import numpy as np
 from jaxtyping import Bool, Float64
 
@@ -50,6 +49,8 @@ class PairProgram:
     """
 
     def __init__(self, cost: Float64[np.ndarray, "n n"], apart: Bool[np.ndarray, "n n"]) -> None:
+        import highspy  # here, so that all that needs no linear program works without it
+
         n = len(cost)
         self.first, self.second = np.nonzero(np.triu(~apart, 1))
         self.cost = cost[self.first, self.second]
@@ -61,6 +62,7 @@ class PairProgram:
         self._dual = np.zeros(0)
         self._low, self._high = np.zeros(len(self.cost)), np.ones(len(self.cost))
         self._highs = highspy.Highs()
+        self._statuses = highspy.HighsModelStatus
         for option, value in (
             ("output_flag", False),
             ("threads", 1),
@@ -123,14 +125,14 @@ class PairProgram:
         status = self._highs.getModelStatus()
         solution = self._highs.getSolution()
         x = np.clip(np.array(solution.col_value), self._low, self._high)
-        if status == highspy.HighsModelStatus.kInfeasible:
+        if status == self._statuses.kInfeasible:
             return Optimum(x, np.inf, np.zeros_like(x), True)
         dual = np.array(solution.row_dual)
         if len(dual) != self.num_cuts or not np.isfinite(dual).all():
             dual = np.zeros(self.num_cuts)
         self._dual = np.maximum(-dual, 0.0)
         bound, reduced = self._bound()
-        return Optimum(x, bound, reduced, status == highspy.HighsModelStatus.kOptimal)
+        return Optimum(x, bound, reduced, status == self._statuses.kOptimal)
 
     def matrix(self, x: np.ndarray) -> np.ndarray:
         """(n, n) symmetric matrix of the variables, 0 where there is none."""
