@@ -20,9 +20,11 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# What needs a GPU: the tests marked so, and the rows of benchmarks/scaling.py. It installs nothing;
+# What needs a GPU: the tests marked so, and the rows of benchmarks/scaling.py. It fetches nothing;
 # with another Python than that of `make test`: make gpu BIN=FOLDER_OF_THAT_PYTHON.
 gpu:
+	$(BIN)/python -c 'import mixer_torch.benchmarks' 2>/dev/null \
+		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	$(BIN)/python -m pytest -n0 -m cuda
 	$(BIN)/python -m mixer_torch.benchmarks.scaling --device cuda --out out/benchmarks/scaling_gpu
 

@@ -36,3 +36,16 @@ def find(path: str | Path) -> Path:
             return place
     hint = "" if root or path.is_absolute() else " (and MIXER_DATA, where else to look, is not set)"
     raise FileNotFoundError(f"{' and '.join(map(str, places))}: not found{hint}")
+
+
+def check_file(path: Path, what: str = "") -> None:
+    """That it is a file, which ``what`` says the use of.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        IsADirectoryError: It is a folder.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{what}{path} is a folder, expected a file")
+    if not path.is_file():
+        raise FileNotFoundError(f"{what}{path} does not exist")

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float, Float64
 
+from mixer_torch.datasets.base import check_file
 from mixer_torch.datasets.fitted_ground import fit_homography, is_truth
 
 MILLIMETRES = 1000.0
@@ -315,12 +316,11 @@ def read_calibration(path: str | Path, name: str | None = None) -> Calibration:
         name: The camera, in a ``.mat`` file of several.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        OSError: There is no such file, or it is a folder.
         ValueError: It is malformed, or has no camera of that name.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"calibration {path} does not exist")
+    check_file(path, "calibration ")
     suffix = path.suffix.lower()
     if suffix == ".mat":
         return Pinhole.from_mat(path, name)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import Dataset, check_file, find
 from mixer_torch.observations import FolderFrames, Images, Observations
 
 FRAME = ("frame_id", "frame_index", "frame")
@@ -215,8 +215,7 @@ def read_annotations(path: Path) -> Annotations:
 
 
 def _read(path: Path) -> Any:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
+    check_file(path)
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except json.JSONDecodeError as error:

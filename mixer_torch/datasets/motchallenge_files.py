@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from mixer_torch.datasets.base import check_file
 from mixer_torch.datasets.motchallenge_frames import usual_suffix
 from mixer_torch.datasets.text import read_numbers, refuse
 
@@ -239,8 +240,7 @@ def _check_frames(path: Path, rows: np.ndarray, number: np.ndarray) -> None:
 
 def _delimiter(path: Path) -> str | None:
     """The comma, or None for white space where the first line that is not blank has none."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
+    check_file(path)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         first = next((line for line in file if line.strip()), ",")
     return "," if "," in first else None

@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from mixer_torch.datasets.base import check_file
+
 
 def read_text(path: Path) -> str:
     """The text of a file, unpacked where its name ends in ``.gz``.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        OSError: There is no such file, or it is a folder.
         ValueError: It does not unpack, or is not text.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
+    check_file(path)
     opener: Any = gzip.open if path.suffix == ".gz" else open
     try:
         with opener(path, "rt", encoding="utf-8-sig") as file:
@@ -44,7 +45,7 @@ def read_numbers(
         no rows, of ``columns`` columns.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        OSError: There is no such file, or it is a folder.
         ValueError: A line is malformed; the message names the file and the line.
     """
     lines = read_text(path).split("\n")

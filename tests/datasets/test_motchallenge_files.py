@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.datasets import MOTChallenge
+from mixer_torch.datasets.calibration import read_calibration
 from mixer_torch.datasets.motchallenge_files import (
     SequenceInfo,
     as_confidence,
@@ -208,3 +209,11 @@ def test_a_file_that_is_no_text_is_named(tmp_path, repair):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"det\.txt does not exist"):
         MOTChallenge(tmp_path, frame_rate=5, repair=True).load()
+
+
+def test_a_folder_is_not_said_to_be_missing(tmp_path):
+    (tmp_path / "det" / "det.txt").mkdir(parents=True)
+    with pytest.raises(IsADirectoryError, match=r"det\.txt is a folder, expected a file"):
+        MOTChallenge(tmp_path, frame_rate=5).load()
+    with pytest.raises(IsADirectoryError, match=r"calibration .* is a folder, expected a file"):
+        read_calibration(tmp_path)
