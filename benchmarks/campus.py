@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import results
 from mixer_torch.cli import build_parsers
 from mixer_torch.metrics import singletons_for_clutter
 from scorers import Proximity
@@ -202,18 +202,18 @@ def f1(rows):
 
 def make(out):
     """Tables of F1 over all starts together, from the rows in a folder; the Markdown comes back."""
-    rows = comparison.read(out / "rows.csv")
+    rows = results.read(out / "rows.csv")
     starts = len({row["start"] for row in rows})
     lines = [f"F1 over the pairs of {starts} starts together; settings from the first third.", ""]
     for part in PARTS:
         lines += [f"| {part} | " + " | ".join(READINGS) + " |", "|---" * (len(READINGS) + 1) + "|"]
-        for (method,), mine in comparison.grouped(rows, "method").items():
+        for (method,), mine in results.grouped(rows, "method").items():
             cells = [_cell(mine, part, reading) for reading in READINGS]
             lines.append(f"| {method} | " + " | ".join(cells) + " |")
         lines.append("")
     lines += ["| mean over the starts | |", "|---|---|"]
-    for (fact,), group in comparison.grouped(comparison.read(out / "facts.csv"), "fact").items():
-        lines.append(f"| {fact} | {comparison.mean(group, 'value'):.3g} |")
+    for (fact,), group in results.grouped(results.read(out / "facts.csv"), "fact").items():
+        lines.append(f"| {fact} | {results.mean(group, 'value'):.3g} |")
     text = "\n".join(lines) + "\n"
     (out / "table.md").write_text(text)
     return text
@@ -221,7 +221,7 @@ def make(out):
 
 def _cell(rows, part, reading):
     """F1 with the setting that is best on the first third, and that setting."""
-    settings = comparison.grouped([r for r in rows if r["reading"] == reading], "setting")
+    settings = results.grouped([r for r in rows if r["reading"] == reading], "setting")
 
     def on(setting, where):
         return f1([row for row in settings[setting] if row["part"] == where])
@@ -231,15 +231,15 @@ def _cell(rows, part, reading):
 
 
 def main(argv=None):
-    arguments = comparison.arguments(
+    arguments = results.arguments(
         (__file__, __doc__), argv, "one start", starts=(5, "how many starts within the second")
     )
     if not arguments.from_rows:
         torch.set_num_threads(1)
         count = 1 if arguments.quick else arguments.starts
         rows, found = run([k * STEP // count for k in range(count)])
-        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
-        comparison.write(arguments.out / "facts.csv", FACTS, found)
+        results.write(arguments.out / "rows.csv", COLUMNS, rows)
+        results.write(arguments.out / "facts.csv", FACTS, found)
     return make(arguments.out)
 
 

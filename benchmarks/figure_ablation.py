@@ -8,15 +8,15 @@ of their strength. Everything but rows.csv is made from it.
 
 from tqdm import tqdm
 
-from mixer_torch.benchmarks import comparison, report
+from mixer_torch.benchmarks import comparison, report, results
 
 
 def order(rows):
     """The modalities by the mean F1 of MIXER on each alone, the strongest first."""
     alone = [row for row in rows if row["algorithm"] == "MIXER" and "+" not in row["modalities"]]
     strength = {
-        name: comparison.mean(group, "f1")
-        for (name,), group in comparison.grouped(alone, "modalities").items()
+        name: results.mean(group, "f1")
+        for (name,), group in results.grouped(alone, "modalities").items()
     }
     return sorted(strength, key=strength.__getitem__, reverse=True)
 
@@ -45,16 +45,16 @@ def run(seeds, num_frames):
 
 def make(out):
     """Figure and table from the rows in a folder; the Markdown comes back."""
-    rows = comparison.read(out / "rows.csv")
+    rows = results.read(out / "rows.csv")
     names = order(rows)
     sets = ["+".join(names[:k]) for k in range(1, len(names) + 1)]
-    found = comparison.grouped(rows, "algorithm", "modalities")
+    found = results.grouped(rows, "algorithm", "modalities")
     algorithms = [name for name in comparison.SETTINGS if (name, sets[0]) in found]
     rows = [row for name in algorithms for key in sets for row in found[name, key]]
     report.ablation_figure(rows, sets, out / "ablation")
     lines = ["| F1 | " + " | ".join(sets) + " |", "|---" * (len(sets) + 1) + "|"]
     for name in algorithms:
-        means = [f"{comparison.mean(found[name, key], 'f1'):.3f}" for key in sets]
+        means = [f"{results.mean(found[name, key], 'f1'):.3f}" for key in sets]
         lines.append(f"| {name} | " + " | ".join(means) + " |")
     text = "\n".join(lines) + "\n"
     (out / "table.md").write_text(text)
@@ -63,12 +63,12 @@ def make(out):
 
 def main(argv=None):
     quick = "one short drive"
-    arguments = comparison.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
+    arguments = results.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
     if not arguments.from_rows:
         comparison.warm_up()
         seeds = range(1 if arguments.quick else arguments.seeds)
         rows = run(seeds, num_frames=40 if arguments.quick else 100)
-        comparison.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
+        results.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
     return make(arguments.out)
 
 

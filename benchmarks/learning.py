@@ -20,7 +20,7 @@ from pathlib import Path
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
-from mixer_torch.benchmarks.comparison import grouped, mean, spread
+from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.datasets import MOTChallenge, ParkingLot
 from mixer_torch.fusion import LogOddsFusion

@@ -44,7 +44,6 @@ from pathlib import Path
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from mixer_torch.benchmarks.comparison import grouped, mean, spread
 from mixer_torch.benchmarks.learning import (
     SPARSE,
     apply,
@@ -53,6 +52,7 @@ from mixer_torch.benchmarks.learning import (
     log_ratios,
     sample,
 )
+from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.calibration_metrics import cllr
 from mixer_torch.datasets import Dataset, MOTChallenge
 from mixer_torch.fusion import LogOddsFusion

@@ -21,7 +21,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 import mixer_torch as mx
 from mixer_torch.association import Association, Status, by_first_appearance
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import comparison, results
 from mixer_torch.cli import build_parsers
 from mixer_torch.datasets.base import find
 from mixer_torch.metrics import evaluate
@@ -134,8 +134,8 @@ def told_the_number(rows):
 def make(out):
     """The table from the rows in a folder; the Markdown comes back."""
     lines = []
-    for (persons, similarity), group in comparison.grouped(
-        comparison.read(out / "rows.csv"), "persons", "similarity"
+    for (persons, similarity), group in results.grouped(
+        results.read(out / "rows.csv"), "persons", "similarity"
     ).items():
         first = group[0]
         lines += [
@@ -174,7 +174,7 @@ def main(argv=None):
         export = arguments.embedding or train(arguments.out / "embedding", arguments.quick)
         comparison.warm_up()
         rows = run(export, arguments.quick)
-        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
+        results.write(arguments.out / "rows.csv", COLUMNS, rows)
     return make(arguments.out)
 
 

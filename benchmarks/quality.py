@@ -21,7 +21,7 @@ import torch
 from tqdm import tqdm
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import results
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import is_distinct
 
@@ -125,13 +125,13 @@ def table(rows):
         f"{len(rows)} problems, {sum(r['feasible'] for r in rows):.0f} answers feasible, gradient "
         f"stage binary without rounding in {sum(r['binary'] for r in rows):.0f}. Gaps to the best "
         "answer of Exact (to its proven bound in brackets), %; times in milliseconds a problem, "
-        f"{comparison.machine()}.",
+        f"{results.machine()}.",
         "",
         "| kind | problems | m | gap, mean | worst | in a batch, mean | worst | gradient stage, "
         "sums | Exact proved | median ms | ms in a batch |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for (kind,), group in comparison.grouped(rows, "kind").items():
+    for (kind,), group in results.grouped(rows, "kind").items():
         single, batch = (
             [percent_above(row, key, "exact") for row in group]
             for key in ("mixer", "mixer_in_batch")
@@ -141,7 +141,7 @@ def table(rows):
         cells = [
             kind,
             len(group),
-            f"{comparison.mean(group, 'm'):.0f}",
+            f"{results.mean(group, 'm'):.0f}",
             f"{statistics.mean(single):.4f} ({bound:.3f})",
             f"{max(single):.3f}",
             f"{statistics.mean(batch):.4f}",
@@ -166,7 +166,7 @@ def run(each, dense, first, time_limit):
 
 
 def main(argv=None):
-    arguments = comparison.arguments(
+    arguments = results.arguments(
         (__file__, __doc__),
         argv,
         "20 problems of a kind with views, 2 of a kind and size without",
@@ -176,8 +176,8 @@ def main(argv=None):
     if not arguments.from_rows:
         counts = (20, 2) if arguments.quick else (312, 11)
         rows = run(*counts, arguments.first, arguments.time_limit)
-        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
-    return comparison.tabled(arguments.out, table)
+        results.write(arguments.out / "rows.csv", COLUMNS, rows)
+    return results.tabled(arguments.out, table)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Tables and figures of the comparisons, from their rows alone."""
 
-from mixer_torch.benchmarks.comparison import grouped, machine, mean, spread
+from mixer_torch.benchmarks.results import grouped, machine, mean, spread
 
 PAPER = {
     "All-pairs": ((0.47, 0.41), (0.75, 0.50), (0.11, 0.71), (0.08, 1.00), (0.08, 1.00)),

@@ -9,7 +9,7 @@ than 1 where the scores mislead. Everything but rows.csv is made from it.
 
 from tqdm import tqdm
 
-from mixer_torch.benchmarks import comparison, report
+from mixer_torch.benchmarks import comparison, report, results
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.exact import Exact
 
@@ -46,18 +46,18 @@ def run(trials, thin):
 
 def make(out):
     """Figure and table from the rows in a folder; the Markdown comes back."""
-    rows = comparison.read(out / "rows.csv")
+    rows = results.read(out / "rows.csv")
     report.sweep_figure(
         rows, {key: label for key, (label, _) in SWEEPS.items()}, out / "robustness"
     )
-    places = list(comparison.grouped(rows, "dataset"))
+    places = list(results.grouped(rows, "dataset"))
     lines = [
         "| F1 | " + " | ".join(place[0] for place in places) + " |",
         "|---" * (len(places) + 1) + "|",
     ]
-    for (algorithm,), group in comparison.grouped(rows, "algorithm").items():
-        points = comparison.grouped(group, "dataset")
-        means = [f"{comparison.mean(points[place], 'f1'):.2f}" for place in places]
+    for (algorithm,), group in results.grouped(rows, "algorithm").items():
+        points = results.grouped(group, "dataset")
+        means = [f"{results.mean(points[place], 'f1'):.2f}" for place in places]
         lines.append(f"| {algorithm} | " + " | ".join(means) + " |")
     text = "\n".join(lines) + "\n"
     (out / "table.md").write_text(text)
@@ -66,13 +66,11 @@ def make(out):
 
 def main(argv=None):
     quick = "3 trials, every other value"
-    arguments = comparison.arguments(
-        (__file__, __doc__), argv, quick, trials=(20, "problems a point")
-    )
+    arguments = results.arguments((__file__, __doc__), argv, quick, trials=(20, "problems a point"))
     if not arguments.from_rows:
         comparison.warm_up()
         rows = run(3 if arguments.quick else arguments.trials, arguments.quick)
-        comparison.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
+        results.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
     return make(arguments.out)
 
 

@@ -35,7 +35,7 @@ import torch
 from tqdm import tqdm
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison, kernighan_lin
+from mixer_torch.benchmarks import kernighan_lin, results
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import objective_of, problem_of
 
@@ -249,15 +249,15 @@ def run(quick, devices):
 
 def main(argv=None):
     device = ("", "cpu or cuda; the CPU, and the GPU where there is one, if not given")
-    arguments = comparison.arguments((__file__, __doc__), argv, "small sizes only", device=device)
+    arguments = results.arguments((__file__, __doc__), argv, "small sizes only", device=device)
     if not arguments.from_rows:
         there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
         devices = [arguments.device] if arguments.device else there
-        comparison.write(arguments.out / "rows.csv", COLUMNS, run(arguments.quick, devices))
+        results.write(arguments.out / "rows.csv", COLUMNS, run(arguments.quick, devices))
         frames = FRAMES[2] if arguments.quick else FRAMES[-1]
         if "cpu" in devices:
             (arguments.out / "profile.txt").write_text(profile(frames))
-    rows = comparison.read(arguments.out / "rows.csv")
+    rows = results.read(arguments.out / "rows.csv")
     text = table(rows)
     (arguments.out / "table.md").write_text(text)
     plot(rows, arguments.out / "scaling.png")
@@ -280,7 +280,7 @@ def table(rows):
             f"| {shown(row['seconds_greedy'], 3)} | {shown(row['objective_klj'], 2)} "
             f"| {shown(row['seconds_klj'], 3)} |"
         )
-    return "\n".join([*lines, "", f"{comparison.machine()}.", ""])
+    return "\n".join([*lines, "", f"{results.machine()}.", ""])
 
 
 def shown(value, digits):
@@ -293,7 +293,7 @@ def plot(rows, path):
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
-    for (series, device), group in comparison.grouped(rows, "series", "device").items():
+    for (series, device), group in results.grouped(rows, "series", "device").items():
         group = [row for row in group if row["seed"] == 0]
         m = [row["m"] for row in group]
         # what fits into memory that the process has freed before cannot be seen

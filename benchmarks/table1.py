@@ -22,7 +22,7 @@ from scipy.sparse import coo_array
 from tqdm import tqdm
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import results
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import pairwise
 from mixer_torch.solvers.base import problem_of
@@ -103,21 +103,21 @@ def trial(level, views, seed, exact, naive_limit):
 
 def table(rows):
     """Markdown, from the rows alone."""
-    lines = [f"{comparison.machine()}; mean ± deviation over the trials.", ""]
-    for (level,), own in comparison.grouped(rows, "level").items():
+    lines = [f"{results.machine()}; mean ± deviation over the trials.", ""]
+    for (level,), own in results.grouped(rows, "level").items():
         lines += [f"## {level}: {LEVELS[level]}", ""]
         lines += ["| solver | n_o | m | gap % | p % | r % | ms | speedup | Exact ms | proven |"]
         lines += ["|---|---|---|---|---|---|---|---|---|---|"]
-        for (solver, views), group in comparison.grouped(own, "solver", "views").items():
+        for (solver, views), group in results.grouped(own, "solver", "views").items():
             text = [
-                f"{comparison.mean(group, key):.2f} ± {comparison.spread(group, key):.2f}"
+                f"{results.mean(group, key):.2f} ± {results.spread(group, key):.2f}"
                 for key in ("gap", "precision", "recall")
             ]
             own_seconds, exact = (
                 statistics.median(row[key] for row in group) for key in ("seconds", "exact_seconds")
             )
             proven = sum(row["status"] == "OPTIMAL" for row in group)
-            cells = [solver, f"{views:.0f}", f"{comparison.mean(group, 'm'):.0f}", *text]
+            cells = [solver, f"{views:.0f}", f"{results.mean(group, 'm'):.0f}", *text]
             cells += [f"{1e3 * own_seconds:.1f}", f"{exact / own_seconds:.1f}"]
             cells += [f"{1e3 * exact:.0f}", f"{proven}/{len(group)}"]
             lines += ["| " + " | ".join(cells) + " |"]
@@ -138,8 +138,8 @@ def naive_lines(rows):
     if run:
         yield "| n_o | naive, seconds | proven | Exact on the same, seconds | factor |"
         yield "|---|---|---|---|---|"
-    for (views,), group in comparison.grouped(run, "views").items():
-        slow, fast = (comparison.mean(group, key) for key in ("naive_seconds", "exact_seconds"))
+    for (views,), group in results.grouped(run, "views").items():
+        slow, fast = (results.mean(group, key) for key in ("naive_seconds", "exact_seconds"))
         proven = f"{sum(row['naive_proven'] for row in group):.0f}/{len(group)}"
         yield f"| {views:.0f} | {slow:.2f} | {proven} | {fast:.2f} | {slow / fast:.1f} |"
 
@@ -156,7 +156,7 @@ def run(views, trials, naive_trials, time_limit, naive_limit):
 
 
 def main(argv=None):
-    arguments = comparison.arguments(
+    arguments = results.arguments(
         (__file__, __doc__),
         argv,
         "2 trials of n_o = 2, 6, 12",
@@ -167,8 +167,8 @@ def main(argv=None):
     if not arguments.from_rows:
         size = ((2, 6, 12), 2, 1) if arguments.quick else (VIEWS, arguments.trials, 3)
         rows = run(*size, arguments.time_limit, arguments.naive_limit)
-        comparison.write(arguments.out / "rows.csv", COLUMNS, rows)
-    return comparison.tabled(arguments.out, table)
+        results.write(arguments.out / "rows.csv", COLUMNS, rows)
+    return results.tabled(arguments.out, table)
 
 
 if __name__ == "__main__":

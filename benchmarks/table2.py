@@ -8,7 +8,7 @@ against the number of observations m. Everything but rows.csv and failures.csv i
 
 from tqdm import tqdm
 
-from mixer_torch.benchmarks import comparison, report
+from mixer_torch.benchmarks import comparison, report, results
 from mixer_torch.benchmarks.chosen import CHOSEN
 from mixer_torch.benchmarks.comparison import ALL, MODALITIES
 from mixer_torch.datasets.synthetic import synthetic
@@ -51,22 +51,22 @@ def run_sizes(sizes):
 
 def main(argv=None):
     quick = "one short drive, small sizes"
-    arguments = comparison.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
+    arguments = results.arguments((__file__, __doc__), argv, quick, seeds=(5, "parking lots"))
     if not arguments.from_rows:
         comparison.warm_up()
         rows, failures = run(arguments.quick, range(1 if arguments.quick else arguments.seeds))
         rows += run_sizes(SIZES[:3] if arguments.quick else SIZES)
-        comparison.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
-        comparison.write(arguments.out / "failures.csv", comparison.FAILURES, failures)
+        results.write(arguments.out / "rows.csv", comparison.COLUMNS, rows)
+        results.write(arguments.out / "failures.csv", comparison.FAILURES, failures)
     return make(arguments.out)
 
 
 def make(out):
     """Tables and figures from the rows in a folder; the Markdown comes back."""
-    rows = comparison.read(out / "rows.csv")
-    failures = comparison.read(out / "failures.csv")
+    rows = results.read(out / "rows.csv")
+    failures = results.read(out / "failures.csv")
     parts = []
-    for (dataset,), group in comparison.grouped(rows, "dataset").items():
+    for (dataset,), group in results.grouped(rows, "dataset").items():
         if dataset.startswith("synthetic"):
             continue
         sets = {row["modalities"] for row in group}

@@ -30,7 +30,7 @@ import yaml
 from jsonargparse import ArgumentParser
 from tqdm import tqdm
 
-from mixer_torch.benchmarks import comparison, peers, tracking_report
+from mixer_torch.benchmarks import comparison, peers, results, tracking_report
 from mixer_torch.datasets import Crowd, MOTChallenge
 from mixer_torch.datasets.base import find
 from mixer_torch.tracking import Tracks
@@ -106,16 +106,16 @@ def run(folders):
     warm_up(ways)
     rows = []
     for name, track in tqdm(ways.items(), "trackers", disable=None):
-        results, costs = {}, {}
+        tracks, costs = {}, {}
         for sequence, (blind, seen, _, frames) in scenes.items():
             if track is None:
-                results[sequence] = Tracks.from_labels(seen, seen["identity"])
+                tracks[sequence] = Tracks.from_labels(seen, seen["identity"])
                 costs[sequence] = {"frames": frames, "detections": len(seen)}
             else:
-                results[sequence], costs[sequence] = measure(track, blind, frames)
+                tracks[sequence], costs[sequence] = measure(track, blind, frames)
         truths = {key: scene[2] for key, scene in scenes.items()}
-        results = {key: truths[key].without_distractors(value) for key, value in results.items()}
-        scores = evaluate_sequences(results, {key: true.tracks for key, true in truths.items()})
+        tracks = {key: truths[key].without_distractors(value) for key, value in tracks.items()}
+        scores = evaluate_sequences(tracks, {key: true.tracks for key, true in truths.items()})
         for sequence, score in (scores["sequences"] | {"combined": scores["combined"]}).items():
             cost = costs.get(sequence) or together(list(costs.values()))
             score = {key: score[key] for key in METRICS}
@@ -178,7 +178,7 @@ def main(argv=None):
     parser.add_argument("--sequences", nargs="+", type=Path)
     named, rest = parser.parse_known_args(argv)
     quick = "two shortest sequences, crowds of 100 and 200 frames"
-    arguments = comparison.arguments((__file__, __doc__), rest, quick)
+    arguments = results.arguments((__file__, __doc__), rest, quick)
     out = arguments.out
     if not arguments.from_rows:
         folders = folders_of(named.sequences)
@@ -186,8 +186,8 @@ def main(argv=None):
         if arguments.quick:
             folders = sorted(folders, key=lambda f: len((f / "det/det.txt").read_bytes()))[:2]
             lengths = 100, 200
-        comparison.write(out / "rows.csv", COLUMNS, run(folders))
-        comparison.write(out / "speed.csv", SPEED_COLUMNS, run_speed(lengths))
+        results.write(out / "rows.csv", COLUMNS, run(folders))
+        results.write(out / "speed.csv", SPEED_COLUMNS, run_speed(lengths))
     return tracking_report.make(out)
 
 

@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 
-from mixer_torch.benchmarks import comparison, peers, report
+from mixer_torch.benchmarks import peers, report, results
 
 TIME_LIMIT, FRAMES_LIMIT = 120, 1000  # seconds for how many frames of 50 detections
 SHOWN = ("HOTA", "AssA", "DetA", "IDF1", "MOTA")
@@ -19,8 +19,8 @@ COLORS = {
 
 def make(out):
     """Tables and figures from the rows in a folder; the Markdown comes back."""
-    rows = comparison.read(out / "rows.csv")
-    speed = comparison.read(out / "speed.csv")
+    rows = results.read(out / "rows.csv")
+    speed = results.read(out / "speed.csv")
     text = "\n".join(
         [
             *combined(rows),
@@ -71,7 +71,7 @@ def by_sequence(rows, key):
     names = list(dict.fromkeys(row["sequence"] for row in rows))
     lines = [f"| {key} | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     digits = 0 if key == "IDSW" else 1
-    for (tracker,), group in comparison.grouped(rows, "tracker").items():
+    for (tracker,), group in results.grouped(rows, "tracker").items():
         found = {row["sequence"]: f"{row[key]:.{digits}f}" for row in group}
         lines.append(f"| {tracker} | " + " | ".join(found[name] for name in names) + " |")
     return [*lines, ""]
@@ -96,7 +96,7 @@ def speed_table(rows):
     """Time, memory and quality on crowds, against the number of frames."""
     each = rows[0]["detections"] / rows[0]["frames"]
     lines = [
-        f"## Crowds of {each:.0f} detections a frame ({comparison.machine()})",
+        f"## Crowds of {each:.0f} detections a frame ({results.machine()})",
         "",
         "| | frames | s | ms a frame | MiB | HOTA | IDF1 |",
         "|---|---:|---:|---:|---:|---:|---:|",
@@ -145,7 +145,7 @@ def accuracy_figure(rows, path):
 def _points(rows, axes):
     """IDF1 of each tracker on each sequence, the sequences below one another."""
     names = list(dict.fromkeys(row["sequence"] for row in rows if row["sequence"] != "combined"))
-    for (tracker,), group in comparison.grouped(rows, "tracker").items():
+    for (tracker,), group in results.grouped(rows, "tracker").items():
         found = {row["sequence"]: row["IDF1"] for row in group}
         ours = tracker.startswith("MIXER")
         axes.plot(
@@ -169,7 +169,7 @@ def speed_figure(rows, path):
     """Time per frame and memory against the length of the sequence."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     panels = figure.subplots(1, 2)
-    for (tracker,), group in comparison.grouped(rows, "tracker").items():
+    for (tracker,), group in results.grouped(rows, "tracker").items():
         frames = [row["frames"] for row in group]
         style = {
             "color": COLORS.get(tracker),

@@ -13,7 +13,7 @@ import pprint
 
 from tqdm import tqdm
 
-from mixer_torch.benchmarks import comparison
+from mixer_torch.benchmarks import comparison, results
 
 
 def run(num_frames):
@@ -32,27 +32,27 @@ def run(num_frames):
 
 
 def main(argv=None):
-    arguments = comparison.arguments((__file__, __doc__), argv, "40 frames in place of 100")
+    arguments = results.arguments((__file__, __doc__), argv, "40 frames in place of 100")
     if not arguments.from_rows:
         rows = run(40 if arguments.quick else 100)
-        comparison.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
-    return comparison.tabled(arguments.out, table)
+        results.write(arguments.out / "rows.csv", (*comparison.COLUMNS, "setting"), rows)
+    return results.tabled(arguments.out, table)
 
 
 def table(rows):
     """Mean F1 of each setting on each dataset, the chosen ones in bold, and as a literal."""
-    datasets = [name for (name,) in comparison.grouped(rows, "dataset")]
+    datasets = [name for (name,) in results.grouped(rows, "dataset")]
     lines = [
         "| algorithm | setting | " + " | ".join(datasets) + " |",
         "|---|---" + "|---" * len(datasets) + "|",
     ]
     chosen = {dataset: {} for dataset in datasets}
-    for (algorithm,), group in comparison.grouped(rows, "algorithm").items():
+    for (algorithm,), group in results.grouped(rows, "algorithm").items():
         means = {
-            key: comparison.mean(found, "f1")
-            for key, found in comparison.grouped(group, "setting", "dataset").items()
+            key: results.mean(found, "f1")
+            for key, found in results.grouped(group, "setting", "dataset").items()
         }
-        settings = list(comparison.grouped(group, "setting"))
+        settings = list(results.grouped(group, "setting"))
         for dataset in datasets:
             best = max(settings, key=lambda key, d=dataset: means[key[0], d])
             chosen[dataset][algorithm] = json.loads(best[0])

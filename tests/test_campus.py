@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from mixer_torch.benchmarks import campus, comparison
+from mixer_torch.benchmarks import campus, results
 from mixer_torch.metrics import pairwise
 from mixer_torch.observations import Observations
 
@@ -104,9 +104,9 @@ def test_tables_are_made_from_rows(tmp_path):
         rows += row("nearest neighbour", 0.5, part, narrow)
         rows += row("nearest neighbour", 2.5, part, wide)
         rows += row("MIXER", "", part, 8)
-    comparison.write(tmp_path / "rows.csv", campus.COLUMNS, rows)
+    results.write(tmp_path / "rows.csv", campus.COLUMNS, rows)
     fact = {"fact": "people", "start": 0, "value": 57}
-    comparison.write(tmp_path / "facts.csv", campus.FACTS, [fact])
+    results.write(tmp_path / "facts.csv", campus.FACTS, [fact])
     text = campus.main(["--from_rows", "--out", str(tmp_path)])
     # The setting that is best on the first third is the one shown for the rest.
     tables = text.split("\n\n")

@@ -8,7 +8,15 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.benchmarks import comparison, figure_ablation, report, robustness, table2, tuning
+from mixer_torch.benchmarks import (
+    comparison,
+    figure_ablation,
+    report,
+    results,
+    robustness,
+    table2,
+    tuning,
+)
 from mixer_torch.cli import main
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics import evaluate
@@ -138,7 +146,7 @@ def test_failures_by_hand():
 
 def test_ablation_starts_with_the_strongest_modality(small, tmp_path):
     text = figure_ablation.main(["--out", str(tmp_path), "--seeds", "2"])
-    rows = comparison.read(tmp_path / "rows.csv")
+    rows = results.read(tmp_path / "rows.csv")
     names = figure_ablation.order(rows)
     assert sorted(names) == sorted(comparison.MODALITIES)
     assert f"| F1 | {names[0]} | {names[0]}+{names[1]} |" in text

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mixer_torch.benchmarks import comparison, kernighan_lin, quality, scaling, table1
+from mixer_torch.benchmarks import kernighan_lin, quality, results, scaling, table1
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import problem_of
 from mixer_torch.solvers.exact import Exact
@@ -48,7 +48,7 @@ def test_quality_makes_its_table_from_its_rows(tmp_path, monkeypatch):
     rows = list(quality.run(2, 1, 5, 10))
     assert {row["feasible"] for row in rows} == {1}
     assert len(rows) == 3 * 2 + 3
-    comparison.write(tmp_path / "rows.csv", quality.COLUMNS, rows)
+    results.write(tmp_path / "rows.csv", quality.COLUMNS, rows)
     text = quality.main(["--out", str(tmp_path), "--from_rows"])
     assert text == (tmp_path / "table.md").read_text()
     assert "9 problems, 9 answers feasible" in text
@@ -61,7 +61,7 @@ def test_table1_has_both_solvers_and_the_naive_formulation(tmp_path):
     assert {row["status"] for row in rows} == {"OPTIMAL"}
     assert min(row["gap"] for row in rows) > -1e-4
     assert max(row["gap"] for row in rows if row["solver"] == "Mixer()") < 1e-3
-    comparison.write(tmp_path / "rows.csv", table1.COLUMNS, rows)
+    results.write(tmp_path / "rows.csv", table1.COLUMNS, rows)
     text = table1.main(["--out", str(tmp_path), "--from_rows"])
     assert text.count("| Mixer() |") == 4
     assert "naive, seconds" in text
@@ -77,7 +77,7 @@ def test_scaling_compares_with_the_peer(tmp_path):
     assert [row["series"] for row in rows] == ["degree", "dense", "batch", "one by one"]
     for row in rows:
         assert row["objective"] <= row["objective_klj"] + 1e-6 <= row["objective_greedy"] + 2e-6
-    comparison.write(tmp_path / "rows.csv", scaling.COLUMNS, rows)
+    results.write(tmp_path / "rows.csv", scaling.COLUMNS, rows)
     text = scaling.main(["--out", str(tmp_path), "--from_rows"])
     assert "GAEC + KLj" in text
     assert (tmp_path / "scaling.png").stat().st_size > 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mixer_torch.benchmarks import comparison, peers, tracking, tracking_report
+from mixer_torch.benchmarks import peers, results, tracking, tracking_report
 from mixer_torch.datasets import Crowd
 from mixer_torch.tracking import Tracks
 
@@ -105,8 +105,8 @@ def test_report(tmp_path):
         for name in names[:3]
         for frames in (100, 200)
     ]  # fmt: skip
-    comparison.write(tmp_path / "rows.csv", tracking.COLUMNS, rows)
-    comparison.write(tmp_path / "speed.csv", tracking.SPEED_COLUMNS, speed)
+    results.write(tmp_path / "rows.csv", tracking.COLUMNS, rows)
+    results.write(tmp_path / "speed.csv", tracking.SPEED_COLUMNS, speed)
     text = tracking_report.make(tmp_path)
     assert "2 sequences, 100 frames, 900 detections" in text
     assert "| SORT | **42.0** |" in text  # the oracle's 43 does not count

@@ -4,7 +4,7 @@ import pytest
 import torch
 from pretended_device import DEVICE, Generator, PretendedDevice
 
-from mixer_torch.benchmarks import comparison, scaling
+from mixer_torch.benchmarks import results, scaling
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_a_gpu_has_rows_of_its_own(events, monkeypatch, tmp_path):
     assert device.moved["to the host"] > 0
     host = scaling.step("dense", 40, 0, "cpu")
     assert rows[0]["objective"] == pytest.approx(host[0]["objective"], rel=1e-3)
-    comparison.write(tmp_path / "rows.csv", scaling.COLUMNS, rows + host)
+    results.write(tmp_path / "rows.csv", scaling.COLUMNS, rows + host)
     lines = scaling.main(["--out", str(tmp_path), "--from_rows"]).splitlines()
     assert [line.split("|")[2].strip() for line in lines[2:6]] == ["Pretended"] * 3 + ["cpu"]
     assert lines[2].endswith("| - | - | - | - |")
