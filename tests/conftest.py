@@ -11,25 +11,26 @@ torch.set_num_threads(1)  # tests run side by side, one a core
 
 # On a machine that is borrowed for its GPU, the project may be a mere folder and packages may be
 # missing: what cannot be imported there is left out, so that `pytest -m cuda` runs.
+COMMANDS = (
+    "commands",
+    "datasets/test_datasets.py",
+    "test_readme.py",
+    "train/test_embedding_training.py",
+    "train/test_learning.py",
+    "train/test_mixer_train.py",
+)
+BENCHMARKS = ("solvers/test_scaling.py", "test_solver_benchmarks.py")
+BENCHMARKS_BY_COMMANDS = (
+    "datasets/test_multicamera.py",
+    "test_campus.py",
+    "test_comparison.py",
+    "test_learning_motion_benchmark.py",
+    "test_persons_benchmark.py",
+    "test_tracking_benchmark.py",
+)
 NEEDS = {
-    "jsonargparse": (
-        "commands",
-        "datasets/test_datasets.py",
-        "test_learning_motion_benchmark.py",
-        "test_readme.py",
-        "test_tracking_benchmark.py",
-        "train/test_embedding_training.py",
-        "train/test_learning.py",
-        "train/test_mixer_train.py",
-    ),
-    "mixer_torch.benchmarks": (
-        "datasets/test_multicamera.py",
-        "solvers/test_scaling.py",
-        "test_campus.py",
-        "test_comparison.py",
-        "test_persons_benchmark.py",
-        "test_solver_benchmarks.py",
-    ),
+    "jsonargparse": COMMANDS + BENCHMARKS_BY_COMMANDS,
+    "mixer_torch.benchmarks": BENCHMARKS + BENCHMARKS_BY_COMMANDS,
 }
 collect_ignore = [
     path for package, paths in NEEDS.items() if find_spec(package) is None for path in paths
