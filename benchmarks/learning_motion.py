@@ -54,9 +54,9 @@ from mixer_torch.benchmarks.learning import (
 )
 from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.calibration_metrics import cllr
-from mixer_torch.datasets import Dataset, MOTChallenge
+from mixer_torch.datasets import Dataset, MOTChallenge, Tracked
 from mixer_torch.fusion import LogOddsFusion
-from mixer_torch.tracking import Tracked, Tracker
+from mixer_torch.tracking import Tracker
 from scorers import SIFT, Color, IoU, Motion, Proximity, Tracklet
 from scorers.embedding import Embedding
 from scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork

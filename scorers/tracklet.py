@@ -27,7 +27,7 @@ class Tracklet(Scorer):
     with r the log likelihood ratio that one path leads from where the earlier tracklet ended to
     where the later one began (:func:`mixer_torch.tracking.motion.log_ratio`). It says nothing of
     different cameras, nor where a feature is NaN. The features are those of
-    :class:`~mixer_torch.tracking.tracked.Tracked`. Tracklets are wrong now and then, so how much
+    :class:`~mixer_torch.datasets.tracked.Tracked`. Tracklets are wrong now and then, so how much
     to believe is for the calibrator, at best one that was trained
     (``configs/train/pets_tracklets.yaml``).
 

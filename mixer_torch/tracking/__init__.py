@@ -2,8 +2,7 @@
 
 from mixer_torch.tracking.camera_motion import CameraMotion
 from mixer_torch.tracking.online import OnlineTracker
-from mixer_torch.tracking.tracked import Tracked
 from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracking.tracks import Tracks
 
-__all__ = ["CameraMotion", "OnlineTracker", "Tracked", "Tracker", "Tracks"]
+__all__ = ["CameraMotion", "OnlineTracker", "Tracker", "Tracks"]

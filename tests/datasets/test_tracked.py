@@ -3,12 +3,13 @@
 import pytest
 import torch
 
+from mixer_torch.datasets import Tracked
 from mixer_torch.datasets.base import Dataset
+from mixer_torch.datasets.tracked import places
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
 from mixer_torch.scoring import score
-from mixer_torch.tracking import Tracked, Tracker
-from mixer_torch.tracking.tracked import places
+from mixer_torch.tracking import Tracker
 from mixer_torch.tracking.tracklets import TRACKLET_FEATURES
 from scorers import Motion, Tracklet
 
