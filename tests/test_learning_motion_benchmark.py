@@ -1,27 +1,26 @@
 """The benchmark of learning with motion: its rule is what it says, and goes by training alone."""
 
-from mixer_torch.benchmarks.learning_motion import FOLDS, TRAINING, choose, choose_prior, table
+from mixer_torch.benchmarks.learning_motion import FOLDS, TRAINING, choose, table
 
 
-def row(frames, modalities, measured, cllr, f1, method="calibrators", prior=0.5):
+def row(frames, modalities, measured, cllr, f1, method="calibrators"):
     """As it is read back from a file."""
     found = {
         "frames": str(frames),
         "modalities": modalities,
         "method": method,
         "measured": measured,
-        "prior": str(prior),
     }
     return {**found, "seed": "", "cllr": cllr, "f1": f1, "f1_new": f1}
 
 
-def measured(frames, modalities, cllr, f1, window=0.5, prior=0.5):
+def measured(frames, modalities, cllr, f1, window=0.5):
     """Figures of both sequences of training, as far from their mean, and of the window."""
     pets, town = TRAINING
     return [
-        row(frames, modalities, pets, cllr + 0.1, f1 - 0.1, prior=prior),
-        row(frames, modalities, town, cllr - 0.1, f1 + 0.1, prior=prior),
-        row(frames, modalities, "window", 1.0, window, prior=prior),
+        row(frames, modalities, pets, cllr + 0.1, f1 - 0.1),
+        row(frames, modalities, town, cllr - 0.1, f1 + 0.1),
+        row(frames, modalities, "window", 1.0, window),
     ]
 
 
@@ -40,30 +39,19 @@ def test_range_by_mean_f1_then_the_least_cllr():
     assert choose(ROWS) == ("40", "b", "calibrators")
 
 
-def test_the_most_modest_prior_of_about_the_greatest_f1():
-    assert choose_prior(ROWS) == 0.5
-    priors = [
-        *measured(40, "b", cllr=0.4, f1=0.92, prior=0.3),
-        *measured(40, "b", cllr=0.4, f1=0.91, prior=0.2),
-        *measured(40, "b", cllr=0.4, f1=0.89, window=1.0, prior=0.1),
-    ]
-    assert choose_prior([*ROWS, *priors]) == 0.2
-    assert choose([*ROWS, *priors]) == choose(ROWS)
-
-
 def test_the_window_has_no_say():
     without = [found for found in ROWS if found["measured"] != "window"]
     assert choose(without) == choose(ROWS)
-    assert choose_prior(without) == choose_prior(ROWS)
 
 
 def test_the_table_can_be_made_before_the_window_is_looked_at():
     text = table([found for found in ROWS if found["measured"] != "window"])
-    assert "| 40 | b | calibrators | 0.5 | 0.500 | 0.800 | 0.300 | 1.000 |  |  |  |" in text
+    assert "| 40 | b | calibrators | 0.500 | 0.800 | 0.300 | 1.000 |  |  |  |" in text
     assert "Up to 40 frames, held out: F1 0.750" in text
-    assert "Chosen: 40, b, calibrators, prior 0.5" in text
-    line = "| 40 | b | calibrators | 0.5 | 0.500 | 0.800 | 0.300 | 1.000 | 1.000 | 0.500 | 0.500 |"
-    assert line in table(ROWS)
+    assert "Chosen: 40 frames, b, calibrators" in text
+    assert "| 40 | b | calibrators | 0.500 | 0.800 | 0.300 | 1.000 | 1.000 | 0.500 | 0.500 |" in (
+        table(ROWS)
+    )
 
 
 def test_no_person_is_in_two_folds():
