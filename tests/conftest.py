@@ -1,7 +1,7 @@
 """What all tests share: data folders, devices, and what is skipped where they are absent."""
 
 import os
-from importlib.util import find_spec
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
@@ -28,13 +28,24 @@ BENCHMARKS_BY_COMMANDS = (
     "test_persons_benchmark.py",
     "test_tracking_benchmark.py",
 )
-NEEDS = {
-    "jsonargparse": COMMANDS + BENCHMARKS_BY_COMMANDS,
-    "mixer_torch.benchmarks": BENCHMARKS + BENCHMARKS_BY_COMMANDS,
-}
-collect_ignore = [
-    path for package, paths in NEEDS.items() if find_spec(package) is None for path in paths
-]
+
+
+def is_absent(distribution: str) -> bool:
+    """Whether it is not installed; nothing is imported, as types are to be checked from then on."""
+    return not any(distributions(name=distribution))
+
+
+collect_ignore: list[str] = []
+if is_absent("jsonargparse"):
+    collect_ignore += COMMANDS + BENCHMARKS_BY_COMMANDS
+if is_absent("mixer-torch"):
+    collect_ignore += BENCHMARKS + BENCHMARKS_BY_COMMANDS
+
+
+def pytest_report_header():
+    return ["left out, as packages are missing: " + ", ".join(collect_ignore)][
+        : len(collect_ignore)
+    ]
 
 
 def pytest_collection_modifyitems(items):
