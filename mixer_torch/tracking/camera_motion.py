@@ -100,6 +100,7 @@ class CameraMotion:
         keys, first, which = np.unique(
             np.stack([camera, frame]), axis=1, return_index=True, return_inverse=True
         )
+        which = which.reshape(-1)  # of shape (1, m) in NumPy 2.0
         order, count = np.argsort(which, kind="stable"), np.bincount(which, minlength=len(first))
         rows = np.split(order, np.cumsum(count)[:-1]) if len(first) else []
         begins = np.diff(keys[0], prepend=keys[0, :1] - 1) != 0
