@@ -1,5 +1,7 @@
 """What is installed is all that there is."""
 
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -25,3 +27,11 @@ def test_constraints_pin_every_dependency():
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {line.split("==")[0].lower() for line in lines if "==" in line}
     assert names <= pinned
+
+
+def test_packages_that_only_some_need_are_not_imported_by_the_rest():
+    some = {"highspy", "kornia", "lightning"}
+    program = f"import sys, mixer_torch, scorers; print(*{some} & set(sys.modules))"
+    command = [sys.executable, "-c", program]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stdout.strip(), found.stderr) == (0, "", "")
