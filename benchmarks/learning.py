@@ -11,7 +11,6 @@ calibrators that were fitted to the test itself. Rows go to rows.csv, the tables
 """
 
 import argparse
-import csv
 import math
 import os
 import time
@@ -20,6 +19,7 @@ from pathlib import Path
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
+from mixer_torch.benchmarks import results
 from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.datasets import MOTChallenge, ParkingLot
@@ -231,10 +231,6 @@ def real_video(cache):
     return rows + compare("PETS alone", across, tests, ceiling=True)
 
 
-def numbers(row):
-    return {key: float(row[key]) if row[key] and key in COLUMNS[4:] else row[key] for key in row}
-
-
 def with_spread(rows, key):
     text = f"{mean(rows, key):.3f}"
     return f"{text} ± {spread(rows, key):.3f}" if len(rows) > 1 else text
@@ -259,7 +255,7 @@ def table(rows):
     ).items():
         f1 = with_spread(group, "f1")
         lines.append(f"| {experiment} | {test} | {method} | {f1} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
 
 
 def main(argv=None):
@@ -270,22 +266,14 @@ def main(argv=None):
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--only", choices=("parking_lot", "real"))
     arguments = parser.parse_args(argv)
-    arguments.out.mkdir(parents=True, exist_ok=True)
     cache = arguments.out / "evidence"
     rows = []
     if arguments.only != "real":
         rows += parking_lots(arguments.frames, cache)
     if arguments.only != "parking_lot" and os.environ.get("MIXER_DATA"):
         rows += real_video(cache)
-    path = arguments.out / "rows.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    with path.open() as file:
-        text = table([numbers(row) for row in csv.DictReader(file)])
-    (arguments.out / "table.md").write_text(text + "\n")
-    print(text)
+    results.write(arguments.out / "rows.csv", COLUMNS, rows)
+    print(results.tabled(arguments.out, table))
 
 
 if __name__ == "__main__":

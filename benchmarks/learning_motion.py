@@ -35,7 +35,6 @@ pixels, all later frames can be had: Cllr at every offset.
 """
 
 import argparse
-import csv
 import math
 import time
 from dataclasses import dataclass
@@ -45,6 +44,7 @@ from pathlib import Path
 import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from mixer_torch.benchmarks import results
 from mixer_torch.benchmarks.learning import (
     SPARSE,
     apply,
@@ -246,14 +246,6 @@ def at_every_offset(candidate):
     return rows
 
 
-def as_read(rows):
-    """Rows of a file, with figures as numbers and all else as text."""
-    return [
-        {k: float(v) if v != "" and k in COLUMNS[5:] else str(v) for k, v in row.items()}
-        for row in rows
-    ]
-
-
 def choose(rows):
     """What the rule chooses: frames, modalities, method."""
     inside = [row for row in rows if row["measured"] in TRAINING]
@@ -265,32 +257,36 @@ def choose(rows):
     return min(found, key=lambda key: mean(found[key], "cllr"))
 
 
+def chosen_line(rows):
+    frames, modalities, method = choose(rows)
+    return f"Chosen: {frames:.0f} frames, {modalities}, {method}"
+
+
 def table(rows):
     """All that was measured, what the rule chooses, and what its first step goes by."""
     shown = [(measured, COLUMNS[5:7]) for measured in TRAINING] + [("window", COLUMNS[5:])]
     heads = [f"{measured}: {name}" for measured, names in shown for name in names]
     lines = ["| frames | modalities | method | " + " | ".join(heads) + " |", "|---" * 10 + "|"]
     solved_rows = [row for row in rows if row["measured"] in (*TRAINING, "window")]
-    for key, group in grouped(solved_rows, "frames", "modalities", "method").items():
-        cells = []
+    for (frames, *key), group in grouped(solved_rows, "frames", "modalities", "method").items():
+        cells = [f"{frames:.0f}", *key]
         for measured, names in shown:
             chosen = [row for row in group if row["measured"] == measured]
             for name in names:
                 text = f"{mean(chosen, name):.3f}" if chosen else ""
                 cells.append(f"{text} ± {spread(chosen, name):.3f}" if len(chosen) > 1 else text)
-        lines.append("| " + " | ".join([*key, *cells]) + " |")
+        lines.append("| " + " | ".join(cells) + " |")
     lines.append("")
     inside = [row for row in rows if row["measured"] in TRAINING]
     for (frames,), group in grouped(inside, "frames").items():
-        lines.append(f"Up to {frames} frames, held out: F1 {mean(group, 'f1'):.3f}")
-    frames, modalities, method = choose(rows)
-    lines += ["", f"Chosen: {frames} frames, {modalities}, {method}"]
+        lines.append(f"Up to {frames:.0f} frames, held out: F1 {mean(group, 'f1'):.3f}")
+    lines += ["", chosen_line(rows)]
     lines += ["", "| frames | modalities | method | measured | Cllr |", "|---" * 5 + "|"]
     for row in rows:
         if row not in solved_rows:
-            cells = [row[key] for key in COLUMNS[:4]]
+            cells = [f"{row['frames']:.0f}", *(row[key] for key in COLUMNS[1:4])]
             lines.append("| " + " | ".join([*cells, f"{row['cllr']:.3f}"]) + " |")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
 
 
 def main(argv=None):
@@ -304,7 +300,6 @@ def main(argv=None):
     weights = Path("out/train/embedding/export/embedding.safetensors")
     parser.add_argument("--embedding", type=Path, default=weights)
     arguments = parser.parse_args(argv)
-    arguments.out.mkdir(parents=True, exist_ok=True)
     common = arguments.out / "evidence", arguments.embedding, not arguments.without_ground
     candidates = [Candidate(names, gaps, *common) for gaps in (1, 2, 3) for names in SETS]
     rows = []
@@ -313,22 +308,15 @@ def main(argv=None):
         rows += measure_training(candidate)
         said = f"{20 * candidate.gaps} {' + '.join(candidate.names)}"
         print(f"{said}: {time.perf_counter() - start:.0f} s", flush=True)
-    print(f"Chosen: {', '.join(choose(as_read(rows)))}", flush=True)
+    print(chosen_line(rows), flush=True)
     if not arguments.training_only:
         for candidate in candidates:
             rows += measure_window(candidate, arguments.seeds)
         for gaps in (2, 3):
             for names in (("distance",), ("distance", "motion")):
                 rows += at_every_offset(Candidate(names, gaps, *common))
-    path = arguments.out / "rows.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    with path.open() as file:
-        text = table(as_read(csv.DictReader(file)))
-    (arguments.out / "table.md").write_text(text + "\n")
-    print(text)
+    results.write(arguments.out / "rows.csv", COLUMNS, rows)
+    print(results.tabled(arguments.out, table))
 
 
 if __name__ == "__main__":

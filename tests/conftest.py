@@ -43,9 +43,12 @@ if is_absent("mixer-torch"):
 
 
 def pytest_report_header():
-    return ["left out, as packages are missing: " + ", ".join(collect_ignore)][
-        : len(collect_ignore)
-    ]
+    lines = []
+    if collect_ignore:
+        lines.append(f"left out, as packages are missing: {', '.join(collect_ignore)}")
+    if is_absent("beartype"):
+        lines.append("types are not checked, as beartype is missing")
+    return lines
 
 
 def pytest_collection_modifyitems(items):

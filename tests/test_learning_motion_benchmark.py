@@ -4,9 +4,9 @@ from mixer_torch.benchmarks.learning_motion import FOLDS, TRAINING, choose, tabl
 
 
 def row(frames, modalities, measured, cllr, f1, method="calibrators"):
-    """As it is read back from a file."""
+    """As measured, and as it is read back from a file."""
     found = {
-        "frames": str(frames),
+        "frames": frames,
         "modalities": modalities,
         "method": method,
         "measured": measured,
@@ -36,7 +36,7 @@ ROWS = [
 
 def test_range_by_mean_f1_then_the_least_cllr():
     # Means of F1: 0.7, 0.75 and 0.725.
-    assert choose(ROWS) == ("40", "b", "calibrators")
+    assert choose(ROWS) == (40, "b", "calibrators")
 
 
 def test_the_window_has_no_say():
