@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from mixer_torch.association import by_first_appearance
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations
 from mixer_torch.tracking.tracker import Tracker
@@ -45,7 +44,6 @@ class Tracked(Dataset):
         labels = self.tracker.associate(video).labels
         if labels is None:
             raise ValueError("tracker: expected one whose solver always gives labels")
-        labels = by_first_appearance(labels)
         tracklets = self.tracker.tracklets(video, labels)
         return observed.with_features(**tracklet_features(tracklets, labels[rows]))
 
