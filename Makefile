@@ -24,7 +24,7 @@ lint: .venv/installed-dev
 # with another Python than that of `make test`: make gpu BIN=FOLDER_OF_THAT_PYTHON.
 gpu:
 	$(BIN)/python -c 'import mixer_torch.benchmarks' 2>/dev/null \
-		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e ".[all]"
 	$(BIN)/python -m pytest -n0 -m cuda
 	$(BIN)/python -m mixer_torch.benchmarks.scaling --device cuda --out out/benchmarks/scaling_gpu
 
@@ -37,12 +37,12 @@ peers: .venv/installed
 	$(PYTHON) -m venv .venv
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(INSTALL) -e .
+	$(INSTALL) -e ".[all]"
 	$(TRACKEVAL)
 	@touch $@
 
 .venv/installed-dev: pyproject.toml constraints.txt | .venv/bin/python
-	$(INSTALL) -e '.[dev]'
+	$(INSTALL) -e ".[dev]"
 	$(TRACKEVAL)
 	@touch $@ .venv/installed
 

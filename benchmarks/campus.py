@@ -28,8 +28,8 @@ from tqdm import tqdm
 import mixer_torch as mx
 from mixer_torch.benchmarks import results
 from mixer_torch.cli import build_parsers
-from mixer_torch.metrics import singletons_for_clutter
-from scorers import Proximity
+from mixer_torch.metrics.clustering import singletons_for_clutter
+from mixer_torch.scorers import Proximity
 
 COLUMNS = ("method", "setting", "part", "start", "reading", "correct", "declared", "true")
 FACTS = ("fact", "start", "value")

@@ -17,7 +17,7 @@ import mixer_torch as mx
 from mixer_torch.benchmarks.chosen import CHOSEN
 from mixer_torch.cli import build_parsers
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.clear import Clear
 from mixer_torch.solvers.hungarian import Hungarian
 from mixer_torch.solvers.matchals import MatchALS

@@ -18,8 +18,8 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.datasets import ParkingLot
-from mixer_torch.metrics import evaluate
-from scorers import SIFT, Color, IoU, Proximity
+from mixer_torch.metrics.clustering import evaluate
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity
 
 COLUMNS = ("stage", "seconds", "pairs_per_second", "peak_memory_mb")
 

@@ -21,18 +21,18 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from mixer_torch.benchmarks import results
 from mixer_torch.benchmarks.results import grouped, mean, spread
-from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.datasets import MOTChallenge, ParkingLot
 from mixer_torch.fusion import LogOddsFusion
-from scorers import SIFT, Color, IoU, Proximity
-from scorers.calibration import PiecewiseLinear
-from scorers.calibrators import MonotoneSpline
-from scorers.learned import SURE, EvidenceNetwork
-from train.calibration import has_both_kinds
-from train.data import PairData, Rows
-from train.evaluation import solved
-from train.selectors import AtGaps
-from train.tables import calibrated
+from mixer_torch.metrics.calibration import calibration_metrics
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity
+from mixer_torch.scorers.calibration import PiecewiseLinear
+from mixer_torch.scorers.calibrators import MonotoneSpline
+from mixer_torch.scorers.learned import SURE, EvidenceNetwork
+from mixer_torch.train.calibration import has_both_kinds
+from mixer_torch.train.data import PairData, Rows
+from mixer_torch.train.evaluation import solved
+from mixer_torch.train.selectors import AtGaps
+from mixer_torch.train.tables import calibrated
 
 COLUMNS = ("experiment", "test", "method", "modality", "cllr", "min_cllr", "ece", "f1")
 COVARIATES = ("time_gap", "box_size", "size_ratio")

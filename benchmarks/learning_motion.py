@@ -2,7 +2,7 @@
 
 Motion is the distance between where both would be halfway in time, from the velocity that the
 frames between tell (MOTChallenge's window); the tracklet is what those make that are tracked from
-frame to frame (scorers.Tracklet, of which the tracker's defaults were fitted on these sequences and
+frame to frame (mixer_torch.scorers.Tracklet, of which the tracker's defaults were fitted on these sequences and
 three others). Each set of modalities, for pairs of up to 20, 40 and 60 frames (one, two and three
 views of the window), is trained on PETS frames 1-150 and TUD-Stadtmitte, whose table of truth tells
 where its ground is, in two ways: calibrators whose log odds add up, and the mean of eight networks
@@ -54,18 +54,18 @@ from mixer_torch.benchmarks.learning import (
     sample,
 )
 from mixer_torch.benchmarks.results import grouped, mean, spread
-from mixer_torch.calibration_metrics import cllr
 from mixer_torch.datasets import Dataset, MOTChallenge, Tracked
 from mixer_torch.fusion import LogOddsFusion
+from mixer_torch.metrics.calibration import cllr
+from mixer_torch.scorers import SIFT, Color, IoU, Motion, Proximity, Tracklet
+from mixer_torch.scorers.embedding import Embedding
+from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork
 from mixer_torch.tracking import Tracker
-from scorers import SIFT, Color, IoU, Motion, Proximity, Tracklet
-from scorers.embedding import Embedding
-from scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork
-from train.data import Rows
-from train.evaluation import solved
-from train.pairs import parts_of_objects
-from train.selectors import AtGaps
-from train.tables import pair_table
+from mixer_torch.train.data import Rows
+from mixer_torch.train.evaluation import solved
+from mixer_torch.train.pairs import parts_of_objects
+from mixer_torch.train.selectors import AtGaps
+from mixer_torch.train.tables import pair_table
 
 COLUMNS = ("frames", "modalities", "method", "measured", "seed", "cllr", "f1", "f1_new")
 PETS, TOWN = "mot15/PETS09-S2L1", "mot15/TUD-Stadtmitte"

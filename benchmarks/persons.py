@@ -24,8 +24,8 @@ from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.benchmarks import comparison, results
 from mixer_torch.cli import build_parsers
 from mixer_torch.datasets.base import find
-from mixer_torch.metrics import evaluate
-from mixer_torch.retrieval_metrics import retrieval_of_affinity
+from mixer_torch.metrics.clustering import evaluate
+from mixer_torch.metrics.retrieval import retrieval_of_affinity
 from mixer_torch.solvers.threshold import AllPairs
 
 MEASURES = ("rank1", "map", "precision", "recall", "f1", "bcubed_f1", "clusters")
@@ -110,7 +110,7 @@ def run(export, thin):
 
 def train(out, quick):
     """Train as configs/train/embedding.yaml says; the folder with what scorers load."""
-    from train.cli import main as mixer_train
+    from mixer_torch.train.cli import main as mixer_train
 
     path = resources.files("mixer_torch.configs") / "train" / "embedding.yaml"
     words = ["--config", str(path), "--out", str(out), "--trainer.enable_progress_bar", "false"]

@@ -33,10 +33,10 @@ from tqdm import tqdm
 from mixer_torch.benchmarks import comparison, peers, results, tracking_report
 from mixer_torch.datasets import Crowd, MOTChallenge
 from mixer_torch.datasets.base import find
+from mixer_torch.io.mot_tracks import read_mot_truth
+from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.tracking import Tracks
 from mixer_torch.tracking.base import BaseTracker
-from mixer_torch.tracking.formats.mot import read_mot_truth
-from mixer_torch.tracking.tracking_metrics import evaluate_sequences
 
 OURS = {"MIXER": "mot", "MIXER online": "mot_online"}
 ORACLE = "oracle"

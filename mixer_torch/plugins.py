@@ -36,10 +36,10 @@ class Kind:
 
 # Named and not imported: mixer_torch imports no scorer.
 KINDS = (
-    Kind("scorers", Scorer, ("mixer_torch.scoring", "scorers")),
+    Kind("scorers", Scorer, ("mixer_torch.scoring", "mixer_torch.scorers")),
     Kind("solvers", Solver, ("mixer_torch.solvers",)),
     Kind("datasets", Dataset, ("mixer_torch.datasets",)),
-    Kind("calibrators", Calibrator, ("mixer_torch.scoring", "scorers")),
+    Kind("calibrators", Calibrator, ("mixer_torch.scoring", "mixer_torch.scorers")),
     Kind("fusions", Fusion, ("mixer_torch.fusion",)),
     Kind("pairs", PairSelector, ("mixer_torch.pairs",)),
     Kind("trackers", BaseTracker, ("mixer_torch.tracking",)),

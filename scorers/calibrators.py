@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from scorers.likelihood_ratio import LikelihoodRatio
+from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
 
 PROBABILITY_EPS = 1e-6
 
@@ -19,7 +19,7 @@ class Platt(LikelihoodRatio):
     """h(x) = a z + b with z the standardised evidence: logistic regression (Platt 1999).
 
     Args:
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of a² and of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
     """
@@ -52,7 +52,7 @@ class Temperature(LikelihoodRatio):
     2017). What was 0.5 stays 0.5.
 
     Args:
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of 1 / T² and of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
     """
@@ -83,7 +83,7 @@ class Beta(LikelihoodRatio):
     (Kull et al. 2017), exact where both kinds of pairs have beta distributions.
 
     Args:
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of a² + b² and of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
     """
@@ -119,7 +119,7 @@ class Histogram(LikelihoodRatio):
 
     Args:
         bins: Number of bins at most; equal evidence is never parted.
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
 
@@ -169,7 +169,7 @@ class Isotonic(LikelihoodRatio):
     Args:
         direction: ``increasing`` where more evidence means more alike, ``decreasing`` for
             distances, ``either`` for what the pairs of training say.
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
 
@@ -238,7 +238,7 @@ class MonotoneSpline(LikelihoodRatio):
         knots: Number of knots at most.
         direction: ``increasing`` where more evidence means more alike, ``decreasing`` for
             distances, ``either`` for what the pairs of training say.
-        covariates: Names of covariates, see :class:`~scorers.likelihood_ratio.LikelihoodRatio`.
+        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the squared rises and of the covariates' squares in the loss.
         counted: Whether covariates are evidence themselves.
 

@@ -10,8 +10,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers.calibration import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
-from scorers.calibration import Logistic
 
 GREY = "grey"
 HUES = {

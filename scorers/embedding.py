@@ -15,10 +15,10 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from mixer_torch.observations import Images, Observations
+from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers.fitted import read_safetensors, write_safetensors
+from mixer_torch.scorers.neighbours import jaccard, reciprocal_encoding
 from mixer_torch.scoring import Calibrator, Scorer
-from scorers.calibration import Logistic
-from scorers.fitted import read_safetensors, write_safetensors
-from scorers.neighbours import jaccard, reciprocal_encoding
 
 FORMAT = "mixer-torch embedding 2"
 BATCH = 128

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers import calibrators
+from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
 from mixer_torch.scoring import Calibrator
-from scorers import calibrators
-from scorers.likelihood_ratio import LikelihoodRatio
 
 FORMAT = "mixer-torch calibrator 1"
 
@@ -21,7 +21,7 @@ FORMAT = "mixer-torch calibrator 1"
 class Fitted(Calibrator):
     """A calibrator that was fitted and saved: one line in a configuration.
 
-        calibrator: {class_path: scorers.fitted.Fitted, init_args: {path: SIFT.safetensors}}
+        calibrator: {class_path: mixer_torch.scorers.fitted.Fitted, init_args: {path: SIFT.safetensors}}
 
     Args:
         path: What :func:`save_calibrator` or ``mixer-train fit`` wrote.
@@ -61,7 +61,7 @@ def save_calibrator(
 
     Args:
         path: File to write, whole or not at all.
-        calibrator: One of :mod:`scorers.calibrators`, or of a class of yours.
+        calibrator: One of :mod:`mixer_torch.scorers.calibrators`, or of a class of yours.
         scorer: ``class_path`` and ``init_args`` of the scorer whose evidence it was fitted to.
     """
     kind = type(calibrator)
@@ -116,7 +116,7 @@ def load_calibrator(path: str | Path) -> tuple[LikelihoodRatio, dict[str, Any] |
     """Read what :func:`save_calibrator` wrote: the calibrator, and the scorer's settings.
 
     Nothing that the file names is imported or run: its class must be in
-    :mod:`scorers.calibrators`, or be a subclass of ``LikelihoodRatio`` that is imported already.
+    :mod:`mixer_torch.scorers.calibrators`, or be a subclass of ``LikelihoodRatio`` that is imported already.
     """
     tensors, found = read_safetensors(path, FORMAT)
     known = _known_classes()

@@ -7,8 +7,8 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers.calibration import PiecewiseLinear
 from mixer_torch.scoring import Calibrator, Scorer
-from scorers.calibration import PiecewiseLinear
 
 
 class IoU(Scorer):

@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers.covariates import Covariates
+from mixer_torch.scorers.fitted import log_ratio_of, read_safetensors, write_safetensors
+from mixer_torch.scorers.proximity import Proximity
 from mixer_torch.scoring import Calibrator, Scorer, unique_names
-from scorers.calibration import Logistic
-from scorers.covariates import Covariates
-from scorers.fitted import log_ratio_of, read_safetensors, write_safetensors
-from scorers.proximity import Proximity
 
 FORMAT = "mixer-torch pair network 2"
 SURE = 8.0
@@ -32,7 +32,7 @@ class EvidenceNetwork(nn.Module):
 
     Args:
         modalities: l.
-        covariates: Names of :data:`scorers.covariates.COVARIATES`.
+        covariates: Names of :data:`mixer_torch.scorers.covariates.COVARIATES`.
         width: Units of the hidden layer.
     """
 
@@ -102,7 +102,7 @@ class PairNetwork(Scorer):
     Args:
         path: What ``mixer-train`` wrote; untrained, which is naive Bayes, if None.
         scorers: The modalities that it was trained with, in that order, with their calibrators;
-            :class:`~scorers.proximity.Proximity` alone if None.
+            :class:`~mixer_torch.scorers.proximity.Proximity` alone if None.
         covariates: Names of covariates, for an untrained one; a file says its own.
         calibrator: Takes the place of the sigmoid of the log likelihood ratio.
 

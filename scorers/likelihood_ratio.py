@@ -14,9 +14,8 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from mixer_torch.observations import Observations
-from mixer_torch.scoring import Calibrator
-from scorers.covariates import Covariates, Features, support
-from scorers.fitting import (
+from mixer_torch.scorers.covariates import Covariates, Features, support
+from mixer_torch.scorers.fitting import (
     best_factor,
     best_shift,
     gathered,
@@ -24,6 +23,7 @@ from scorers.fitting import (
     minimise,
     thinned,
 )
+from mixer_torch.scoring import Calibrator
 
 FOLDS = 4
 CONVINCING = 5.0
@@ -51,7 +51,7 @@ class LikelihoodRatio(Calibrator):
     says nothing either.
 
     Args:
-        covariates: Names of :data:`scorers.covariates.COVARIATES`.
+        covariates: Names of :data:`mixer_torch.scorers.covariates.COVARIATES`.
         regularisation: Weight of the penalty that keeps parameters finite.
         counted: Whether the circumstances are evidence themselves: r is then the log ratio of
             p(x, c | same) and p(x, c | different). Of several modalities at most one should

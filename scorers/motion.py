@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers.calibration import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import PATH_FEATURES, path_log_ratio, without_paths
-from scorers.calibration import Logistic
 
 PATIENCE = 0.2  # seconds
 SURE = 0.97  # confidence from which doubt counts, one way and the other

@@ -9,9 +9,14 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.observations import Observations, distinct_views
+from mixer_torch.scorers.calibration import Logistic, PiecewiseLinear
+from mixer_torch.scorers.sift_features import (
+    KorniaKeypoints,
+    OpenCVKeypoints,
+    keypoints_of,
+    points_of,
+)
 from mixer_torch.scoring import Calibrator, Scorer
-from scorers.calibration import Logistic, PiecewiseLinear
-from scorers.sift_features import KorniaKeypoints, OpenCVKeypoints, keypoints_of, points_of
 
 MEMORY = {"cpu": 1 << 22, "cuda": 1 << 26}
 """Similarities of descriptors held at a time, by kind of device."""

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers.calibration import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import TRACKLET_FEATURES, path_log_ratio
-from scorers.calibration import Logistic
 
 
 class Tracklet(Scorer):
@@ -27,7 +27,7 @@ class Tracklet(Scorer):
     with r the log likelihood ratio that one path leads from where the earlier tracklet ended to
     where the later one began (:func:`mixer_torch.tracking.motion.log_ratio`). It says nothing of
     different cameras, nor where a feature is NaN. The features are those of
-    :class:`~mixer_torch.datasets.tracked.Tracked`. Tracklets are wrong now and then, so how much
+    :class:`~mixer_torch.tracking.tracked.Tracked`. Tracklets are wrong now and then, so how much
     to believe is for the calibrator, at best one that was trained
     (``configs/train/pets_tracklets.yaml``).
 

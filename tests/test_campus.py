@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mixer_torch.benchmarks import campus, results
-from mixer_torch.metrics import pairwise
+from mixer_torch.metrics.clustering import pairwise
 from mixer_torch.observations import Observations
 
 

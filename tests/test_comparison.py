@@ -19,7 +19,7 @@ from mixer_torch.benchmarks import (
 )
 from mixer_torch.cli import main
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.threshold import AllPairs
 
 

@@ -13,7 +13,7 @@ from sklearn.cluster import AgglomerativeClustering
 import mixer_torch as mx
 from mixer_torch.benchmarks import persons
 from mixer_torch.cli import main
-from mixer_torch.metrics import adjusted_rand
+from mixer_torch.metrics.clustering import adjusted_rand
 
 
 @pytest.fixture

@@ -15,7 +15,10 @@ def paths(name, announced=()):
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
-        ("scorers", {"scorers.IoU", "scorers.SIFT", "mixer_torch.FunctionScorer"}),
+        (
+            "scorers",
+            {"mixer_torch.scorers.IoU", "mixer_torch.scorers.SIFT", "mixer_torch.FunctionScorer"},
+        ),
         ("solvers", {"mixer_torch.Mixer"}),
         ("datasets", {"mixer_torch.datasets.MOTChallenge", "mixer_torch.datasets.Table"}),
         ("calibrators", {"mixer_torch.Calibrator"}),
@@ -33,7 +36,7 @@ def test_the_projects_own_are_found_by_themselves(kind, expected):
 def test_a_class_is_listed_once_by_its_shortest_path():
     found = [member.cls for member in members(BY_NAME["scorers"], ())]
     assert len(set(found)) == len(found)
-    assert "scorers.iou.IoU" not in paths("scorers")
+    assert "mixer_torch.scorers.iou.IoU" not in paths("scorers")
 
 
 @pytest.fixture
@@ -76,4 +79,4 @@ def test_what_does_not_load_is_listed_with_its_error(announced, value, reason):
     assert broken.cls is None
     assert "does not load" in broken.summary
     assert reason in broken.summary
-    assert "scorers.IoU" in found
+    assert "mixer_torch.scorers.IoU" in found

@@ -7,8 +7,8 @@ from mixer_torch.benchmarks import kernighan_lin, quality, results, scaling, tab
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import problem_of
 from mixer_torch.solvers.exact import Exact
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
+from mixer_torch.solvers.search.graph import Graph
+from mixer_torch.solvers.search.greedy import greedy
 
 
 @pytest.mark.parametrize("seed", range(4))

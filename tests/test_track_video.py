@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from mixer_torch import plots
-from mixer_torch.datasets.motchallenge_frames import NumberedFrames
+from mixer_torch.io.frames import NumberedFrames
 from mixer_torch.observations import Images, Observations, VideoFrames
 from mixer_torch.plots.style import FADED, colors
 from mixer_torch.plots.video import Drawing, drawn_frames
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 GREY = 90
 RATE = 10.0

@@ -12,18 +12,18 @@ import yaml
 from lightning import LightningModule
 from torch import Tensor, nn
 
-from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import LogOddsFusion
-from scorers.calibrators import MonotoneSpline
-from scorers.fitted import save_calibrator
-from scorers.likelihood_ratio import LikelihoodRatio
-from train.data import PairData, Rows
-from train.evaluation import Affinities, evaluate_scores, summary
-from train.tables import PairTable, calibrated
+from mixer_torch.metrics.calibration import calibration_metrics
+from mixer_torch.scorers.calibrators import MonotoneSpline
+from mixer_torch.scorers.fitted import save_calibrator
+from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
+from mixer_torch.train.data import PairData, Rows
+from mixer_torch.train.evaluation import Affinities, evaluate_scores, summary
+from mixer_torch.train.tables import PairTable, calibrated
 
 
 class CalibratorTraining(LightningModule):
-    """Calibrators of all modalities of a :class:`~train.data.PairData`, trained side by side.
+    """Calibrators of all modalities of a :class:`~mixer_torch.train.data.PairData`, trained side by side.
 
     What is no matter of descent (ranges, knots, isotonic pools) comes from all pairs of training at
     the start; the rest minimises the log loss at the base rate; after each epoch the shrinkage of
@@ -80,7 +80,7 @@ class CalibratorTraining(LightningModule):
     def _data(self) -> PairData:
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         if not isinstance(data, PairData):
-            raise TypeError(f"data: expected train.PairData, got {type(data).__name__}")
+            raise TypeError(f"data: expected mixer_torch.train.PairData, got {type(data).__name__}")
         return data
 
     def _parts(self, batch: Mapping[str, Any]) -> Any:
@@ -185,7 +185,7 @@ class CalibratorTraining(LightningModule):
             path = folder / f"{name}.safetensors"
             save_calibrator(path, calibrator, scorer)  # type: ignore[arg-type]
             fitted = {
-                "class_path": "scorers.fitted.Fitted",
+                "class_path": "mixer_torch.scorers.fitted.Fitted",
                 "init_args": {"path": str(path)},
             }
             arguments = {**scorer.get("init_args", {}), "calibrator": fitted}

@@ -27,14 +27,14 @@ from torch.utils.data import DataLoader, Dataset
 
 from mixer_torch import datasets
 from mixer_torch.fusion import LogOddsFusion
+from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, load_network
 from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
-from mixer_torch.solvers.relaxation import distinctness_matrix, project_to_simplex
-from scorers.learned import SURE, EvidenceEnsemble, load_network
-from train.data import EpochSampler, PairData
-from train.evaluation import solved
-from train.pairs import PairTraining
-from train.tables import PairTable
+from mixer_torch.solvers.gradient.relaxation import distinctness_matrix, project_to_simplex
+from mixer_torch.train.data import EpochSampler, PairData
+from mixer_torch.train.evaluation import solved
+from mixer_torch.train.pairs import PairTraining
+from mixer_torch.train.tables import PairTable
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Windows(Dataset):
 
 
 class WindowData(PairData):
-    """The pairs of a :class:`~train.data.PairData`, stretches of views at a time.
+    """The pairs of a :class:`~mixer_torch.train.data.PairData`, stretches of views at a time.
 
     Args:
         scorers: One for each modality, with their calibrators.

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from mixer_torch import datasets
 from mixer_torch.observations import Observations
-from scorers.embedding import crops_of
+from mixer_torch.scorers.embedding import crops_of
 
 
 class CropData(LightningDataModule):

@@ -15,7 +15,13 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 from mixer_torch import datasets
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.scoring import Scorer
-from train.tables import PairTable, calibrated, modality_names, pair_table, stack_covariates
+from mixer_torch.train.tables import (
+    PairTable,
+    calibrated,
+    modality_names,
+    pair_table,
+    stack_covariates,
+)
 
 
 class PairData(LightningDataModule):

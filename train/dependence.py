@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from mixer_torch.fusion import Fusion, LogOddsFusion
-from train.evaluation import solved
-from train.tables import PairTable
+from mixer_torch.train.evaluation import solved
+from mixer_torch.train.tables import PairTable
 
 
 def dependence(tables: Sequence[PairTable], modalities: Sequence[str]) -> dict[str, Any]:

@@ -15,18 +15,18 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from mixer_torch.affinity import Affinity
-from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import LogOddsFusion
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.calibration import calibration_metrics
+from mixer_torch.metrics.clustering import evaluate
+from mixer_torch.metrics.retrieval import retrieval
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from mixer_torch.retrieval_metrics import retrieval
+from mixer_torch.scorers.calibrators import MonotoneSpline
+from mixer_torch.scorers.embedding import Embedding, EmbeddingNetwork, embed, save_embedding
+from mixer_torch.scorers.fitted import save_calibrator
 from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.threshold import AllPairs
-from scorers.calibrators import MonotoneSpline
-from scorers.embedding import Embedding, EmbeddingNetwork, embed, save_embedding
-from scorers.fitted import save_calibrator
-from train.evaluation import write_json
+from mixer_torch.train.evaluation import write_json
 
 LABEL_SMOOTHING = 0.1
 WARM_UP = 0.05
@@ -42,7 +42,7 @@ CLOSE = 0.02
 
 
 class EmbeddingTraining(LightningModule):
-    """An :class:`~scorers.embedding.EmbeddingNetwork` from crops with identities.
+    """An :class:`~mixer_torch.scorers.embedding.EmbeddingNetwork` from crops with identities.
 
     The loss is the supervised contrastive one (Khosla et al. 2020) plus the cross entropy of
     telling the persons of training apart, by a linear classifier behind a batch normalisation
@@ -62,7 +62,7 @@ class EmbeddingTraining(LightningModule):
         temperature: Of the contrastive loss: lower looks harder at the nearest strangers.
         classification: Weight of the cross entropy.
         recoloured: Share of the persons of a batch whose colours are exchanged.
-        centre: As :class:`~scorers.embedding.Embedding` takes it, for comparing vectors.
+        centre: As :class:`~mixer_torch.scorers.embedding.Embedding` takes it, for comparing vectors.
         reciprocal: Likewise.
         seed: Of the weights at the start and of the augmentations.
 
@@ -206,10 +206,13 @@ class EmbeddingTraining(LightningModule):
         height, width = self.trainer.datamodule.size  # type: ignore[attr-defined]
         arguments: dict[str, Any] = {"path": str(network), "height": height, "width": width}
         arguments |= {"mirror": True, **self.comparison}
-        scorer = {"class_path": "scorers.embedding.Embedding", "init_args": arguments}
+        scorer = {"class_path": "mixer_torch.scorers.embedding.Embedding", "init_args": arguments}
         save_embedding(network, self.network)
         save_calibrator(calibrator, self.calibrator, scorer)
-        fitted = {"class_path": "scorers.fitted.Fitted", "init_args": {"path": str(calibrator)}}
+        fitted = {
+            "class_path": "mixer_torch.scorers.fitted.Fitted",
+            "init_args": {"path": str(calibrator)},
+        }
         block = {**scorer, "init_args": {**arguments, "calibrator": fitted}}
         learned = self.fusion()
         settings = {"cap": learned.cap, "prior": learned.prior}

@@ -15,12 +15,12 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from mixer_torch.affinity import Affinity
-from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import Fusion
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.calibration import calibration_metrics
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.base import solve
-from train.pictures import histograms_figure, reliability_figure, save
-from train.tables import PairTable
+from mixer_torch.train.pictures import histograms_figure, reliability_figure, save
+from mixer_torch.train.tables import PairTable
 
 Affinities = Mapping[str, tuple[Callable[[PairTable], Tensor], Fusion | None]]
 """By name of what is compared: scores (l, P) of a table, and the fusion that goes with them."""
@@ -94,7 +94,7 @@ def solved(
     """Precision, recall and F1 of the solved problem, over the observations that are in pairs.
 
     Where the pairs fall into parts that no pair links (the frames 1, 21, 41, ... and 2, 22, 42, ...
-    of a video at :class:`~train.selectors.AtGaps` of 20), each part is a problem by itself: that
+    of a video at :class:`~mixer_torch.train.selectors.AtGaps` of 20), each part is a problem by itself: that
     an object is not joined across parts is no error.
     """
     place, part = torch.unique(table.pairs, return_inverse=True)

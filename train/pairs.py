@@ -13,17 +13,17 @@ from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from mixer_torch.calibration_metrics import calibration_metrics
 from mixer_torch.fusion import LogOddsFusion
-from scorers.fitted import log_ratio_of
-from scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork, save_network
-from train.data import PairData, Rows, stack_covariates
-from train.evaluation import evaluate_scores, summary
-from train.tables import PairTable
+from mixer_torch.metrics.calibration import calibration_metrics
+from mixer_torch.scorers.fitted import log_ratio_of
+from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork, save_network
+from mixer_torch.train.data import PairData, Rows, stack_covariates
+from mixer_torch.train.evaluation import evaluate_scores, summary
+from mixer_torch.train.tables import PairTable
 
 
 class PairTraining(LightningModule):
-    """An :class:`~scorers.learned.EvidenceEnsemble`, by log loss at the base rate of training.
+    """An :class:`~mixer_torch.scorers.learned.EvidenceEnsemble`, by log loss at the base rate of training.
 
     The covariates are evidence here, counted once for all modalities. The scores that go in are
     those of the scorers with the calibrators that the configuration gives them.
@@ -33,7 +33,7 @@ class PairTraining(LightningModule):
     between members and is small in their mean.
 
     Args:
-        covariates: Names of :data:`scorers.covariates.COVARIATES`.
+        covariates: Names of :data:`mixer_torch.scorers.covariates.COVARIATES`.
         width: Units of the hidden layer.
         learning_rate: Of Adam.
         weight_decay: Of Adam, decoupled.
@@ -165,7 +165,7 @@ class PairTraining(LightningModule):
         path = folder / "pair_network.safetensors"
         save_network(path, self.network, self._data().modalities)  # type: ignore[arg-type]
         arguments = {"path": str(path), "scorers": list(scorers)}
-        scorer = {"class_path": "scorers.learned.PairNetwork", "init_args": arguments}
+        scorer = {"class_path": "mixer_torch.scorers.learned.PairNetwork", "init_args": arguments}
         fusion = {"class_path": "mixer_torch.LogOddsFusion", "init_args": {"cap": SURE}}
         listing = folder / "scorers.yaml"
         listing.write_text(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mixer_torch.calibration_metrics import expected_calibration_error, reliability
+from mixer_torch.metrics.calibration import expected_calibration_error, reliability
 from mixer_torch.plots.style import INK, MISSED, WRONG, save
 
 if TYPE_CHECKING:

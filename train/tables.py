@@ -17,8 +17,8 @@ from torch import Tensor
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations, load_npz, save_npz
 from mixer_torch.pairs import PairSelector
+from mixer_torch.scorers.covariates import COVARIATES, Covariates
 from mixer_torch.scoring import Scorer, unique_names
-from scorers.covariates import COVARIATES, Covariates
 
 FORMAT = "mixer-torch evidence 1"
 

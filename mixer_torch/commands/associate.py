@@ -21,8 +21,8 @@ from mixer_torch.commands.text import (
 )
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.fusion import Fusion, LinearFusion
+from mixer_torch.io.results import Result, check_folder, staged, write_associations, write_tables
 from mixer_torch.observations import Observations
-from mixer_torch.outputs import Result, check_folder, staged, write_associations, write_tables
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.scoring import Progress, Scorer
 from mixer_torch.scoring import score as score_pairs

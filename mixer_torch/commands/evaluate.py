@@ -13,9 +13,9 @@ from mixer_torch.association import Association, Status
 from mixer_torch.commands.sequences import measure_tracks, tracks_table
 from mixer_torch.commands.text import check_suffix, metrics_table
 from mixer_torch.datasets.base import Dataset
-from mixer_torch.metrics import evaluate as measure
-from mixer_torch.outputs import known_identity, read_labels, write_json
-from mixer_torch.tracking.formats.files import written_whole
+from mixer_torch.io.files import written_whole
+from mixer_torch.io.results import known_identity, read_labels, write_json
+from mixer_torch.metrics.clustering import evaluate as measure
 
 SHOWN = ("precision", "recall", "f1", "bcubed_f1", "adjusted_rand")
 

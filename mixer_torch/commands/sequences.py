@@ -12,10 +12,10 @@ import numpy as np
 
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.motchallenge import MOTChallenge
-from mixer_torch.datasets.motchallenge_files import read_seqinfo
-from mixer_torch.tracking.formats import READERS, read_mot_truth, read_tracks
-from mixer_torch.tracking.tracking_metrics import evaluate_sequences
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.io.motchallenge import read_seqinfo
+from mixer_torch.io.tracks import READERS, read_mot_truth, read_tracks
+from mixer_torch.metrics.tracking import evaluate_sequences
+from mixer_torch.tracks import Tracks
 
 TRUTH_FILE = Path("gt", "gt.txt")
 OWN_FILE = "tracks.txt"

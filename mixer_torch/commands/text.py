@@ -10,7 +10,7 @@ import torch
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association
-from mixer_torch.outputs import Result
+from mixer_torch.io.results import Result
 
 
 def check_suffix(name: str, path: Path, *suffixes: str) -> None:

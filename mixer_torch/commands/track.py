@@ -17,14 +17,14 @@ from mixer_torch.commands.associate import device_named
 from mixer_torch.commands.text import listing
 from mixer_torch.datasets.base import find
 from mixer_torch.datasets.motchallenge import MOTChallenge
-from mixer_torch.datasets.motchallenge_frames import NumberedFrames
+from mixer_torch.io.frames import NumberedFrames
+from mixer_torch.io.results import check_folder
+from mixer_torch.io.tracks import MotTruth, read_mot_truth, write_tracks
+from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.observations import Observations
-from mixer_torch.outputs import check_folder
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.base import BaseTracker
-from mixer_torch.tracking.formats import MotTruth, read_mot_truth, write_tracks
-from mixer_torch.tracking.tracking_metrics import evaluate_sequences
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 FRAME_RATE = 30.0
 """Frames per second where nobody says."""

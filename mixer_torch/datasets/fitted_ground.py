@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from mixer_torch.datasets.motchallenge_files import corners, foot_points, read_truth
+from mixer_torch.io.motchallenge import corners, foot_points, read_truth
 
 GROUND_COLUMNS = slice(7, 9)
 COLUMNS = 10

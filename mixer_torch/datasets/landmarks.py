@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from mixer_torch.datasets.base import Dataset, find
-from mixer_torch.datasets.text import read_numbers
+from mixer_torch.io.text import read_numbers
 from mixer_torch.observations import FolderFrames, Images, Observations
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from mixer_torch.datasets.overlap import match_boxes
+from mixer_torch.boxes import match_boxes
 
 MIN_OVERLAP = 0.5
 """Intersection over union from which boxes in frames close by are one object's."""

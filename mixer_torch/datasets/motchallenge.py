@@ -11,10 +11,12 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
+from mixer_torch.boxes import match_boxes
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.calibration import find_calibration, read_calibration
 from mixer_torch.datasets.local_motion import local_motion
-from mixer_torch.datasets.motchallenge_files import (
+from mixer_torch.io.frames import NumberedFrames, find_frames
+from mixer_torch.io.motchallenge import (
     SequenceInfo,
     as_confidence,
     corners,
@@ -24,8 +26,6 @@ from mixer_torch.datasets.motchallenge_files import (
     read_table,
     read_truth,
 )
-from mixer_torch.datasets.motchallenge_frames import NumberedFrames, find_frames
-from mixer_torch.datasets.overlap import match_boxes
 from mixer_torch.observations import Images, Observations
 
 
@@ -39,7 +39,7 @@ class MOTChallenge(Dataset):
 
     Features: ``frame``; ``time``, (frame - 1) / frameRate; ``camera``, 0; ``box``;
     ``confidence``, the score as a value in [0, 1]
-    (:func:`~mixer_torch.datasets.motchallenge_files.as_confidence`; it is one already for most
+    (:func:`~mixer_torch.io.motchallenge.as_confidence`; it is one already for most
     detectors, and not for DPM and ACF); ``identity`` where there is truth: that of the true box
     which the detection is assigned to, -1 for clutter; ``position`` where there is a calibration:
     the ground point under the middle of the box's lower edge, z = 0, in the frame of the
@@ -66,7 +66,7 @@ class MOTChallenge(Dataset):
         frame_rate: Frames per second where there is no ``seqinfo.ini`` to say it.
         truth: Whether to read ``gt/gt.txt`` for identities, where it is there.
         repair: Take what can be used of a detection file that is not quite right (see
-            :func:`~mixer_torch.datasets.motchallenge_files.read_repaired`), with a warning for
+            :func:`~mixer_torch.io.motchallenge.read_repaired`), with a warning for
             each kind of line that is left out; if False, such a line is an error. Frames after
             the ``seqLength`` of ``seqinfo.ini`` are left out, unless ``stop`` says otherwise.
         spread: Also spread the scores of a detector that is seldom sure, so that thresholds of

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from jaxtyping import Float64, Int64
 
+from mixer_torch.boxes import match_boxes
 from mixer_torch.datasets.base import Dataset, find
-from mixer_torch.datasets.boxes import Boxes, read_boxes
 from mixer_torch.datasets.calibration import Calibration, read_calibration
 from mixer_torch.datasets.joined_frames import JoinedFrames
 from mixer_torch.datasets.local_motion import local_motion
 from mixer_torch.datasets.motchallenge import foot_points, in_space
-from mixer_torch.datasets.overlap import match_boxes
+from mixer_torch.io.box_tables import Boxes, read_boxes
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 
@@ -26,7 +26,7 @@ class Camera:
     """One camera of several. Paths are as they stand or inside ``$MIXER_DATA``.
 
     Args:
-        boxes: Table of detections, in a format of :func:`mixer_torch.datasets.boxes.read_boxes`:
+        boxes: Table of detections, in a format of :func:`mixer_torch.io.box_tables.read_boxes`:
             MOTChallenge or VATIC text, or JSON, packed (``.gz``) or not.
         calibration: From pixels to the ground that all cameras share: ``.xml`` (Tsai), ``.json``
             (K, R and t or centre), ``.mat`` (as of the CAMPUS data set), or text of a 3x3

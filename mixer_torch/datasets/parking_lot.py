@@ -13,9 +13,9 @@ from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Images, Observations
 
 if TYPE_CHECKING:
-    from mixer_torch.datasets.lot.camera import ParkingLotFrames
-    from mixer_torch.datasets.lot.rendering import Camera
-    from mixer_torch.datasets.lot.scene import Scene
+    from mixer_torch.demo.camera import ParkingLotFrames
+    from mixer_torch.demo.rendering import Camera
+    from mixer_torch.demo.scene import Scene
 
 SUN_HEIGHT = math.radians(36)
 COARSE = 0.5  # pixels of the depth image that detections are made from, per pixel of the frame
@@ -133,8 +133,8 @@ class ParkingLot(Dataset):
 
     def world(self) -> World:
         """The scene, the cameras in it and the odometry's error, without any detection."""
-        from mixer_torch.datasets.lot.camera import ParkingLotFrames, drive, mount
-        from mixer_torch.datasets.lot.scene import build_scene, layout_for
+        from mixer_torch.demo.camera import ParkingLotFrames, drive, mount
+        from mixer_torch.demo.scene import build_scene, layout_for
 
         scene = build_scene(self.num_cars, SUN_HEIGHT, self.light_harshness, self.seed)
         generator = np.random.default_rng([self.seed, 2])
@@ -253,7 +253,7 @@ class Sight:
 
 def look(scene: Scene, camera: Camera) -> Sight:
     """Find the silhouettes of all cars in a frame."""
-    from mixer_torch.datasets.lot.rendering import coverage, rasterise
+    from mixer_torch.demo.rendering import coverage, rasterise
 
     count = len(scene.cars)
     coarse = camera.scaled(COARSE)

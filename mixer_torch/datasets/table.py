@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32, Float64, Int64
 
 from mixer_torch.datasets.base import Dataset, find
-from mixer_torch.datasets.columns import Columns
+from mixer_torch.io.columns import Columns
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 BOX = ("x1", "y1", "x2", "y2")

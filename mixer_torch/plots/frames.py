@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mixer_torch.datasets.motchallenge_frames import NumberedFrames
+from mixer_torch.io.frames import NumberedFrames
 from mixer_torch.observations import Images, Observations
 from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, wrong_by_truth
 from mixer_torch.plots.video import Drawing, write_drawn

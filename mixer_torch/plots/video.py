@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from mixer_torch.datasets.motchallenge_frames import NumberedFrames
+from mixer_torch.io.frames import NumberedFrames
 from mixer_torch.plots.style import FADED, colors
 from mixer_torch.scoring import Progress
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 TRAIL_SECONDS = 1.0
 FRAMES_PER_SECOND = (2.0, 60.0)

@@ -12,11 +12,11 @@ from scipy.sparse.csgraph import breadth_first_order
 from mixer_torch.affinity import Affinity
 from mixer_torch.fusion import Fusion
 from mixer_torch.solvers.base import Problem, problem_of
-from mixer_torch.solvers.moves.decomposition import decompose
-from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.proof.branching import dense
 from mixer_torch.solvers.proof.dual_ascent import ascend
 from mixer_torch.solvers.proof.parts import graph_of, induced
+from mixer_torch.solvers.search.decomposition import decompose
+from mixer_torch.solvers.search.graph import Graph
 
 BLOCK = 1000  # nodes whose pairs are held as a full matrix
 

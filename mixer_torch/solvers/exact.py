@@ -10,11 +10,11 @@ import torch
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.bounds import BLOCK, bound_of_parts
-from mixer_torch.solvers.moves.decomposition import cut_along, decompose
-from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.proof.branching import PROVEN, BranchAndCut, Proof
 from mixer_torch.solvers.proof.parts import graph_of, induced
+from mixer_torch.solvers.search.decomposition import cut_along, decompose
+from mixer_torch.solvers.search.graph import Graph
 
 SHORTEST = 1e-3  # seconds for the start, where the time limit is none
 

@@ -18,12 +18,12 @@ from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
-from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose, part_costs
-from mixer_torch.solvers.moves.enumeration import LARGEST as ENUMERABLE
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.refinement import Effort, refine_parts, told
+from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose, part_costs
+from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
+from mixer_torch.solvers.search.graph import Graph
+from mixer_torch.solvers.search.greedy import greedy
 
 LARGEST_GPU = 2000  # nodes of a part for the gradient stage; on a CPU, those for one thread
 SHARES = 4  # of the work for each thread, since some take longer than others

@@ -8,16 +8,16 @@ import torch
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.base import Problem, Solution, Solver
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.refinement import refine
+from mixer_torch.solvers.search.graph import Graph
+from mixer_torch.solvers.search.greedy import greedy
 
 
 class LocalSearch(Solver):
     """The refinement of :class:`~mixer_torch.solvers.mixer.Mixer` without its gradient stage.
 
-    Clusters are contracted greedily (:func:`~mixer_torch.solvers.moves.greedy.greedy`), then moves
+    Clusters are contracted greedily (:func:`~mixer_torch.solvers.search.greedy.greedy`), then moves
     of single observations, re-matching of views, merges, exchanges and perturbed restarts lower
     the cost (:func:`~mixer_torch.solvers.refinement.refine`). For small problems that come one
     after the other and whose answers the evidence leaves in little doubt, as in online tracking,

@@ -22,7 +22,7 @@ Precision = Literal["float32", "tf32", "bfloat16"]
 class Mixer(Solver):
     """Multimodal, multiway association by the continuous relaxation of the paper.
 
-    The gradient stage minimises the relaxed problem (:mod:`mixer_torch.solvers.relaxation`) until
+    The gradient stage minimises the relaxed problem (:mod:`mixer_torch.solvers.gradient.relaxation`) until
     it is binary and feasible; where steps run out first, the nearest feasible labels are taken and
     the status says so. With refinement, each part of the problem that can be solved apart, and is
     not too large for dense matrices, goes through it, and the better of its answer and of greedy

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixer_torch.solvers.moves.decomposition import components
-from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.search.decomposition import components
+from mixer_torch.solvers.search.graph import Graph
 
 
 def without_idle_links(graph: Graph, label: np.ndarray) -> np.ndarray:

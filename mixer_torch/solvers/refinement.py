@@ -11,14 +11,14 @@ import numpy as np
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled, mix
-from mixer_torch.solvers.moves.decomposition import Parts, cut_along, decompose
-from mixer_torch.solvers.moves.enumeration import LARGEST as ENUMERABLE
-from mixer_torch.solvers.moves.enumeration import enumerate_parts
-from mixer_torch.solvers.moves.graph import Graph, arrays_of, compact, named_by_member
-from mixer_torch.solvers.moves.multilevel import refine_large
-from mixer_torch.solvers.moves.region import Names, carriers_of, named, search_region
-from mixer_torch.solvers.moves.search import COURSE, ENUMERATED, GAINS, new_course
-from mixer_torch.solvers.moves.search import RESTARTS as RUN
+from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
+from mixer_torch.solvers.search.exhaustive import enumerate_parts
+from mixer_torch.solvers.search.graph import Graph, arrays_of, compact, named_by_member
+from mixer_torch.solvers.search.multilevel import refine_large
+from mixer_torch.solvers.search.search import COURSE, ENUMERATED, GAINS, new_course
+from mixer_torch.solvers.search.search import RESTARTS as RUN
+from mixer_torch.solvers.search.subproblem import Names, carriers_of, named, search_region
 
 Progress = Callable[[float], None]
 RESTARTS = 400  # of one part at most

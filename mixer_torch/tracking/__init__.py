@@ -3,6 +3,6 @@
 from mixer_torch.tracking.camera_motion import CameraMotion
 from mixer_torch.tracking.online import OnlineTracker
 from mixer_torch.tracking.tracker import Tracker
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 __all__ = ["CameraMotion", "OnlineTracker", "Tracker", "Tracks"]

@@ -10,7 +10,7 @@ from torch import nn
 from mixer_torch.association import Association
 from mixer_torch.observations import Observations
 from mixer_torch.scoring import Progress
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 
 class BaseTracker(ABC):

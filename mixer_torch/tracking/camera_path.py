@@ -11,7 +11,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,7 +18,7 @@ from mixer_torch.scoring import Progress
 from mixer_torch.tracking.appearance import with_looks
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.tracker import Tracker, check
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 
 @dataclass(frozen=True)

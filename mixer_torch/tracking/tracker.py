@@ -22,8 +22,8 @@ from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.camera_motion import CameraMotion
 from mixer_torch.tracking.camera_path import CameraPath
 from mixer_torch.tracking.causal import causal_labels
-from mixer_torch.tracking.ending import interpolated, smoothed, strong
 from mixer_torch.tracking.motion import MotionModel
+from mixer_torch.tracking.postprocessing import interpolated, smoothed, strong
 from mixer_torch.tracking.tracklets import (
     measured_resolution,
     overlapping,
@@ -31,7 +31,7 @@ from mixer_torch.tracking.tracklets import (
     summarised,
     with_paths,
 )
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 NEAR: dict[str, Any] = {
     "window": 0.3,
@@ -96,7 +96,7 @@ class Tracker(BaseTracker):
         tracklet_inflation: The same at level two: tracklets end where boxes are at their worst.
         min_boxes: Tracks of fewer boxes are dropped.
         min_confidence: Tracks of a lower typical confidence are dropped, see
-            :func:`~mixer_torch.tracking.ending.strong`.
+            :func:`~mixer_torch.tracking.postprocessing.strong`.
         min_strength: Tracks of a lower sum of confidences are dropped.
         fill: Gaps up to this long are filled with boxes in between, seconds; 0 for none.
         smoothing: Standard deviation of the average over time that boxes are replaced by,

@@ -99,7 +99,7 @@ def test_one_observation(mixer):
     assert json.loads(Path("result/metrics.json").read_text())["all"]["clusters"] == 1
 
 
-IMAGE_SCORERS = ["scorers.IoU", "scorers.Color", "scorers.SIFT"]
+IMAGE_SCORERS = ["mixer_torch.scorers.IoU", "mixer_torch.scorers.Color", "mixer_torch.scorers.SIFT"]
 
 
 def test_an_empty_detection_file_gives_a_result_of_nothing(mixer):
@@ -122,7 +122,7 @@ def test_a_view_without_detections_is_no_obstacle(mixer):
     assert [track[0] for track in tracks] == ["1", "1", "3"]
 
 
-@pytest.mark.parametrize("scorers", [["scorers.IoU"], ["scorers.Color"]])
+@pytest.mark.parametrize("scorers", [["mixer_torch.scorers.IoU"], ["mixer_torch.scorers.Color"]])
 def test_a_frame_that_does_not_decode_is_named_and_leaves_nothing(mixer, scorers):
     dataset = write_sequence("tiny", [(1, 4), (2, 5)])
     broken = Path("tiny/img1/000002.jpg")
@@ -150,8 +150,8 @@ def test_a_frame_that_does_not_decode_is_named_and_leaves_nothing(mixer, scorers
         ({"scorers": []}, "scorers"),
         ({"scorers": ["own_scorers.Shouting"]}, "Shouting: expected scores in [0, 1]"),
         ({"scorers": ["own_scorers.Undefined"]}, "Undefined: expected scores in [0, 1], got nan"),
-        ({"scorers": ["scorers.Proximity"]}, "Proximity needs 'position'"),
-        ({"scorers": ["scorers.Color"]}, "Color needs 'images'"),
+        ({"scorers": ["mixer_torch.scorers.Proximity"]}, "Proximity needs 'position'"),
+        ({"scorers": ["mixer_torch.scorers.Color"]}, "Color needs 'images'"),
         ({"dataset": one("mixer_torch.datasets.Table", path="no.csv")}, "no.csv"),
         ({"fusion": one("mixer_torch.LinearFusion", weights={"Dept": 1})}, "'Dept'"),
         ({"fusion": one("mixer_torch.LinearFusion", weights={"Depth": -1})}, "weights['Depth']"),

@@ -32,7 +32,7 @@ def test_list_shows_what_there_is_with_a_summary_of_each(mixer):
     code, out, _ = mixer("list")
     assert code == 0
     lines = {line.split()[0]: line.split(maxsplit=1)[1:] for line in out.splitlines() if line}
-    for path in ("scorers.IoU", "mixer_torch.Mixer", "mixer_torch.datasets.Table"):
+    for path in ("mixer_torch.scorers.IoU", "mixer_torch.Mixer", "mixer_torch.datasets.Table"):
         assert lines[path][0], path
     assert "does not load" not in out
 
@@ -53,7 +53,7 @@ def test_demo_has_all_it_needs_from_any_folder(mixer):
     assert config["out"] == "out/demo"
     assert config["ablate"] is True
     assert [scorer["class_path"] for scorer in config["scorers"]] == [
-        "scorers.IoU", "scorers.Proximity", "scorers.Color", "scorers.SIFT",
+        "mixer_torch.scorers.IoU", "mixer_torch.scorers.Proximity", "mixer_torch.scorers.Color", "mixer_torch.scorers.SIFT",
     ]  # fmt: skip
 
 
@@ -67,7 +67,7 @@ def test_configurations_of_the_project_are_valid(mixer, name):
 def test_scorers_may_come_from_another_file(mixer, tmp_path):
     config = Path(__file__).parents[2] / "configs" / "pets_motion.yaml"
     scorers = tmp_path / "scorers.yaml"
-    scorers.write_text("scorers: [{class_path: scorers.Color}]")
+    scorers.write_text("scorers: [{class_path: mixer_torch.scorers.Color}]")
     words = ["--config", config, "--config", scorers, "--out", "out", "--print_config"]
     code, out, err = mixer("associate", *words)
     assert code == 0, err

@@ -10,11 +10,11 @@ import pytest
 import torch
 import yaml
 
+from mixer_torch.io.results import write_associations
+from mixer_torch.io.tracks import write_tracks
+from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.observations import Observations
-from mixer_torch.outputs import write_associations
 from mixer_torch.tracking import Tracks
-from mixer_torch.tracking.formats import write_tracks
-from mixer_torch.tracking.tracking_metrics import evaluate_sequences
 
 SEQINFO = "[Sequence]\nframeRate=10\nseqLength={length}\n"
 

@@ -245,7 +245,7 @@ def test_an_error_on_the_way_leaves_what_was_finished(track):
 
 def test_what_a_tracker_cannot_do_names_the_sequence(track):
     write_sequence("a")
-    scorer = [{"class_path": "scorers.Proximity"}]
+    scorer = [{"class_path": "mixer_torch.scorers.Proximity"}]
     settings = {"scorers": scorer, "tracklet_scorers": scorer}
     tracker = {"class_path": "mixer_torch.tracking.Tracker", "init_args": settings}
     Path("places.yaml").write_text(yaml.safe_dump({"tracker": tracker}))

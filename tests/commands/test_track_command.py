@@ -20,8 +20,8 @@ from track_inputs import (
 
 from mixer_torch.association import Status
 from mixer_torch.datasets import MOTChallenge
+from mixer_torch.io.tracks import read_tracks
 from mixer_torch.observations import VideoFrames
-from mixer_torch.tracking.formats import read_tracks
 
 
 def test_each_sequence_has_a_result_and_a_line(track):

@@ -15,7 +15,7 @@ import time
 
 from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.tracking.base import BaseTracker
-from mixer_torch.tracking.tracks import Tracks
+from mixer_torch.tracks import Tracks
 
 SEEN = []
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.calibration_metrics import area_under_roc
 from mixer_torch.datasets.motchallenge import MOTChallenge, corners, read_table
-from scorers import Proximity
-from train.selectors import AtGaps
+from mixer_torch.metrics.calibration import area_under_roc
+from mixer_torch.scorers import Proximity
+from mixer_torch.train.selectors import AtGaps
 
 SEQINFO = "[Sequence]\nname=toy\nimDir=img1\nframeRate=10\nseqLength=4\nimExt=.png\n"
 DET = """\

@@ -14,8 +14,8 @@ import mixer_torch as mx
 from mixer_torch.cli import build_parsers
 from mixer_torch.datasets.calibration import Homography, Pinhole
 from mixer_torch.datasets.multicamera import Camera, MultiCamera, standing_points
-from mixer_torch.metrics import pairwise
-from scorers import Proximity
+from mixer_torch.metrics.clustering import pairwise
+from mixer_torch.scorers import Proximity
 
 K = np.array([[1000.0, 0, 960], [0, 1000, 540], [0, 0, 1]])
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # looks north

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from mixer_torch.datasets.lot.camera import develop, drive, loop_length
-from mixer_torch.datasets.lot.scene import layout_for, park
 from mixer_torch.datasets.parking_lot import ParkingLot, look, odometry_error
+from mixer_torch.demo.camera import develop, drive, loop_length
+from mixer_torch.demo.scene import layout_for, park
 
 EXACT = {
     "odometry_drift": 0.0,

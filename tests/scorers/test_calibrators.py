@@ -7,10 +7,17 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.observations import Observations
-from scorers.calibrators import Beta, Histogram, Isotonic, MonotoneSpline, Platt, Temperature
-from scorers.fitted import Fitted, load_calibrator, save_calibrator
+from mixer_torch.scorers.calibrators import (
+    Beta,
+    Histogram,
+    Isotonic,
+    MonotoneSpline,
+    Platt,
+    Temperature,
+)
+from mixer_torch.scorers.fitted import Fitted, load_calibrator, save_calibrator
 
 KINDS = [Platt, Temperature, Beta, Histogram, Isotonic, MonotoneSpline]
 MONOTONE = [Platt, Temperature, Beta, Isotonic, MonotoneSpline]
@@ -173,7 +180,7 @@ def test_saved_and_loaded_in_a_scorer(kind, tmp_path):
     fitted = kind(covariates=["time_gap", "confidence"])
     fitted.learn_statistics(x, same, c)
     path = tmp_path / "depth.safetensors"
-    settings = {"class_path": "scorers.Proximity", "init_args": {"scale": 2.0}}
+    settings = {"class_path": "mixer_torch.scorers.Proximity", "init_args": {"scale": 2.0}}
     save_calibrator(path, fitted, settings)
     assert [file.name for file in tmp_path.iterdir()] == ["depth.safetensors"]
     loaded, scorer = load_calibrator(path)

@@ -8,8 +8,8 @@ import torch
 
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
-from scorers import Color
-from scorers.color import dominant_color, part_histograms
+from mixer_torch.scorers import Color
+from mixer_torch.scorers.color import dominant_color, part_histograms
 
 PAINTS = {
     "red": (200, 30, 30),

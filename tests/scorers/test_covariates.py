@@ -5,9 +5,9 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.observations import Observations
-from scorers.calibrators import MonotoneSpline, Platt
-from scorers.covariates import COVARIATES, LEVELS, Covariates
-from scorers.fitted import Fitted, save_calibrator
+from mixer_torch.scorers.calibrators import MonotoneSpline, Platt
+from mixer_torch.scorers.covariates import COVARIATES, LEVELS, Covariates
+from mixer_torch.scorers.fitted import Fitted, save_calibrator
 
 
 def seen(camera):

@@ -8,7 +8,7 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.observations import Images, Observations
-from scorers.embedding import (
+from mixer_torch.scorers.embedding import (
     BATCH,
     FEW,
     Embedding,

@@ -5,8 +5,8 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from scorers import IoU
-from scorers.iou import box_iou
+from mixer_torch.scorers import IoU
+from mixer_torch.scorers.iou import box_iou
 
 
 def boxes(*rows):

@@ -5,9 +5,9 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.observations import Observations
-from scorers import IoU, Proximity
-from scorers.fitted import load_calibrator
-from scorers.learned import (
+from mixer_torch.scorers import IoU, Proximity
+from mixer_torch.scorers.fitted import load_calibrator
+from mixer_torch.scorers.learned import (
     EvidenceEnsemble,
     EvidenceNetwork,
     PairNetwork,

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers import Motion
 from mixer_torch.tracking.motion import MotionModel, State, log_ratio
 from mixer_torch.tracking.tracklets import with_paths
-from scorers import Motion
 
 
 def walk(x, times, camera=None, confidence=None):

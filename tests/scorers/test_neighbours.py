@@ -5,8 +5,8 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from scorers.embedding import COSINE, Embedding
-from scorers.neighbours import AVERAGED, jaccard, reciprocal_encoding
+from mixer_torch.scorers.embedding import COSINE, Embedding
+from mixer_torch.scorers.neighbours import AVERAGED, jaccard, reciprocal_encoding
 
 
 def unit_vectors(m=30, d=4, seed=0):

@@ -6,7 +6,7 @@ from sklearn.metrics import roc_auc_score
 import mixer_torch as mx
 from mixer_torch.datasets.landmarks import Landmarks
 from mixer_torch.datasets.motchallenge import MOTChallenge
-from scorers import SIFT, Color, IoU, Proximity
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity
 
 pytestmark = pytest.mark.real_data
 

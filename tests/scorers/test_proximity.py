@@ -7,7 +7,7 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from scorers import Proximity
+from mixer_torch.scorers import Proximity
 
 
 def seen(positions, times):

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-import scorers
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity, Tracklet
+from mixer_torch.scorers.calibration import Logistic
 from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import summarised, tracklet_features, with_paths
-from scorers import SIFT, Color, IoU, Proximity, Tracklet
-from scorers.calibration import Logistic
 
 
 def scorer_classes():
     for module in pkgutil.iter_modules(scorers.__path__):
-        namespace = vars(importlib.import_module(f"scorers.{module.name}"))
+        namespace = vars(importlib.import_module(f"mixer_torch.scorers.{module.name}"))
         for value in namespace.values():
             if inspect.isclass(value) and issubclass(value, Scorer) and value is not Scorer:
                 yield value

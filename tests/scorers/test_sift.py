@@ -6,9 +6,9 @@ import torch
 
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
-from scorers import SIFT
-from scorers.sift import count_matches, nearest_in_views
-from scorers.sift_features import unit
+from mixer_torch.scorers import SIFT
+from mixer_torch.scorers.sift import count_matches, nearest_in_views
+from mixer_torch.scorers.sift_features import unit
 
 
 def matches_by_loop(a, b, ratio):

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from mixer_torch.observations import Observations
+from mixer_torch.scorers import Tracklet
 from mixer_torch.tracking.motion import MotionModel, State, log_ratio
 from mixer_torch.tracking.tracklets import summarised, tracklet_features, with_paths
-from scorers import Tracklet
 
 TIMES = [0.0, 0.2, 0.4, 0.8, 1.0, 1.2]
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.base import is_distinct, problem_of
 from mixer_torch.solvers.clear import Clear
 from mixer_torch.solvers.hungarian import Hungarian

@@ -5,8 +5,8 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mixer_torch.solvers.moves.decomposition import cut_along, decompose, part_costs
-from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.search.decomposition import cut_along, decompose, part_costs
+from mixer_torch.solvers.search.graph import Graph
 
 
 def random_graph(seed: int, n: int, share: float) -> tuple[Graph, np.ndarray, np.ndarray]:

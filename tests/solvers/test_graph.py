@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from mixer_torch.solvers.base import Problem, objective_of
-from mixer_torch.solvers.moves.graph import Graph, compact, named_by_member
+from mixer_torch.solvers.search.graph import Graph, compact, named_by_member
 
 
 def test_costs_of_a_repeated_pair_add_and_conflicts_are_no_edges() -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
+from mixer_torch.solvers.search.graph import Graph
+from mixer_torch.solvers.search.greedy import greedy
 
 
 def by_matrix(cost: np.ndarray, view: np.ndarray) -> list[list[int]]:

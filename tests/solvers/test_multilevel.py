@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from mixer_torch.solvers import refinement
-from mixer_torch.solvers.moves.graph import Graph, arrays_of, compact
-from mixer_torch.solvers.moves.greedy import greedy
-from mixer_torch.solvers.moves.multilevel import refine_large
-from mixer_torch.solvers.moves.region import carriers_of, named, search_region
-from mixer_torch.solvers.moves.search import RESTARTS, new_course
+from mixer_torch.solvers.search.graph import Graph, arrays_of, compact
+from mixer_torch.solvers.search.greedy import greedy
+from mixer_torch.solvers.search.multilevel import refine_large
+from mixer_torch.solvers.search.search import RESTARTS, new_course
+from mixer_torch.solvers.search.subproblem import carriers_of, named, search_region
 
 
 def video(seed: int, frames: int, objects: int, window: int = 3) -> Graph:

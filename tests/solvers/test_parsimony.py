@@ -4,8 +4,8 @@ import torch
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import is_distinct, objective_of, problem_of
-from mixer_torch.solvers.moves.graph import Graph
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.search.graph import Graph
 
 
 def two_groups_with_nothing_between():

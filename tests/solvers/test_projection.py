@@ -4,7 +4,10 @@ import pytest
 import torch
 
 from mixer_torch.solvers.gradient.projection import project_rows
-from mixer_torch.solvers.relaxation import project_to_row_sum_at_most_one, project_to_simplex
+from mixer_torch.solvers.gradient.relaxation import (
+    project_to_row_sum_at_most_one,
+    project_to_simplex,
+)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.solvers.base import Problem, is_distinct, objective_of
-from mixer_torch.solvers.moves.decomposition import decompose
-from mixer_torch.solvers.moves.graph import Graph
-from mixer_torch.solvers.moves.greedy import greedy
 from mixer_torch.solvers.refinement import Effort, refine, refine_parts, restarts_of, told
+from mixer_torch.solvers.search.decomposition import decompose
+from mixer_torch.solvers.search.graph import Graph
+from mixer_torch.solvers.search.greedy import greedy
 
 
 def partitions(n: int) -> Iterator[np.ndarray]:

@@ -8,7 +8,7 @@ import torch
 
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.base import objective_of, problem_of
-from mixer_torch.solvers.relaxation import (
+from mixer_torch.solvers.gradient.relaxation import (
     distinctness_matrix,
     distinctness_penalty,
     frobenius_objective,

@@ -3,7 +3,7 @@
 import torch
 
 import mixer_torch as mx
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.threshold import AllPairs, Consecutive
 
 VIEW = torch.tensor([3, 3, 5, 8])  # three views in the order of time, with gaps in the numbers

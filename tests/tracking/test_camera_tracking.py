@@ -11,10 +11,10 @@ import yaml
 
 from mixer_torch.association import by_first_appearance
 from mixer_torch.datasets import MOTChallenge
+from mixer_torch.io.tracks import read_mot_truth
 from mixer_torch.observations import Images, Observations
+from mixer_torch.scorers import Motion
 from mixer_torch.tracking import CameraMotion, Tracker, Tracks
-from mixer_torch.tracking.formats import read_mot_truth
-from scorers import Motion
 
 WIDTH, HEIGHT, RATE = 320, 240, 20.0
 
@@ -147,7 +147,7 @@ def windowed(observations, truth, left, top, width=480, height=360):
 def test_a_moving_window_on_real_people(real_data):
     """A pan of 60 pixels and 2 seconds, shaken by 2 pixels: identities survive with pixels."""
     pytest.importorskip("trackeval")
-    from mixer_torch.tracking.tracking_metrics import evaluate_sequences
+    from mixer_torch.metrics.tracking import evaluate_sequences
 
     folder = real_data / "mot15" / "TUD-Stadtmitte"
     observations = MOTChallenge(folder, truth=False).load()

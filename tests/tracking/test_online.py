@@ -11,14 +11,14 @@ import torch
 import yaml
 
 from mixer_torch.datasets import Crowd
+from mixer_torch.metrics.tracking import evaluate_tracks
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Reachable
+from mixer_torch.scorers import Motion
 from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.local_search import LocalSearch
 from mixer_torch.tracking import CameraMotion, Tracker, Tracks
 from mixer_torch.tracking.online import OnlineTracker
-from mixer_torch.tracking.tracking_metrics import evaluate_tracks
-from scorers import Motion
 
 
 def online(window=0.4, **arguments):

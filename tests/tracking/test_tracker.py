@@ -10,10 +10,10 @@ import yaml
 
 from mixer_torch.association import by_first_appearance
 from mixer_torch.observations import Images, Observations
+from mixer_torch.scorers import Color, Motion
 from mixer_torch.tracking import Tracker
 from mixer_torch.tracking.appearance import with_looks
 from mixer_torch.tracking.tracklets import overlapping, summarised, with_paths
-from scorers import Color, Motion
 
 
 def tracker(**settings):
@@ -200,9 +200,9 @@ def test_better_than_the_trackers_of_today(real_data):
     """Identities at least as good as the targets, on the shorter two of the real sequences."""
     pytest.importorskip("trackeval")
     from mixer_torch.datasets import MOTChallenge
-    from mixer_torch.datasets.motchallenge_files import read_truth
-    from mixer_torch.tracking.tracking_metrics import evaluate_tracks
-    from mixer_torch.tracking.tracks import Tracks
+    from mixer_torch.io.motchallenge import read_truth
+    from mixer_torch.metrics.tracking import evaluate_tracks
+    from mixer_torch.tracks import Tracks
 
     for name, least in (("KITTI-17", 0.75), ("TUD-Stadtmitte", 0.8)):
         folder = real_data / "mot15" / name

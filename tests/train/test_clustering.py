@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
-from train.clustering import Relaxation, association_loss
+from mixer_torch.train.clustering import Relaxation, association_loss
 
 
 @pytest.fixture

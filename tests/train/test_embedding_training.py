@@ -12,10 +12,10 @@ from safetensors.torch import load_file
 
 from mixer_torch.cli import main as mixer
 from mixer_torch.fusion import LogOddsFusion
-from mixer_torch.metrics import evaluate
+from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.base import solve
-from train.cli import main as mixer_train
-from train.embedding import (
+from mixer_torch.train.cli import main as mixer_train
+from mixer_torch.train.embedding import (
     EXCHANGES,
     PRIORS,
     augmentation,
@@ -51,10 +51,13 @@ def config(people, tmp_path):
     settings = {
         "out": str(tmp_path / "run"),
         "model": {
-            "class_path": "train.embedding.EmbeddingTraining",
+            "class_path": "mixer_torch.train.embedding.EmbeddingTraining",
             "init_args": {"dimension": 16, "width": 4, "strips": 4, "reciprocal": 4},
         },
-        "data": {"class_path": "train.crops.CropData", "init_args": {"dataset": people, **sizes}},
+        "data": {
+            "class_path": "mixer_torch.train.crops.CropData",
+            "init_args": {"dataset": people, **sizes},
+        },
         "checkpoint": {"monitor": "val/map", "mode": "max"},
         "early_stopping": {"monitor": "val/map", "mode": "max"},
         "trainer": {"max_epochs": 5, "enable_progress_bar": False, "accelerator": "cpu"},

@@ -6,9 +6,9 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from train.evaluation import parts_of, ratios_by_modality, solved, summary
-from train.selectors import AtGaps
-from train.tables import PairTable
+from mixer_torch.train.evaluation import parts_of, ratios_by_modality, solved, summary
+from mixer_torch.train.selectors import AtGaps
+from mixer_torch.train.tables import PairTable
 
 
 def table(selector, frames=12, objects=3):

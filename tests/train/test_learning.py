@@ -12,12 +12,12 @@ import torch
 import yaml
 
 from mixer_torch.cli import main as mixer
-from scorers.learned import load_network
-from train.cli import main as mixer_train
-from train.data import EpochSampler, Rows, by_identity
-from train.dependence import dependence
-from train.pairs import PairTraining, as_evidence, parts_of_objects
-from train.tables import PairTable
+from mixer_torch.scorers.learned import load_network
+from mixer_torch.train.cli import main as mixer_train
+from mixer_torch.train.data import EpochSampler, Rows, by_identity
+from mixer_torch.train.dependence import dependence
+from mixer_torch.train.pairs import PairTraining, as_evidence, parts_of_objects
+from mixer_torch.train.tables import PairTable
 
 
 def write_table(path, seed, objects=7, frames=8):
@@ -42,11 +42,14 @@ def settings(tmp_path):
         write_table(tmp_path / f"{part}.csv", seed)
         init_args = {"path": str(tmp_path / f"{part}.csv")}
         datasets[part] = [{"class_path": "mixer_torch.datasets.Table", "init_args": init_args}]
-    scorers = [{"class_path": "scorers.IoU"}, {"class_path": "scorers.Proximity"}]
+    scorers = [
+        {"class_path": "mixer_torch.scorers.IoU"},
+        {"class_path": "mixer_torch.scorers.Proximity"},
+    ]
     return {
         "out": str(tmp_path / "run"),
         "data": {
-            "class_path": "train.data.PairData",
+            "class_path": "mixer_torch.train.data.PairData",
             "init_args": {"scorers": scorers, **datasets},
         },
         "trainer": {"max_epochs": 4, "enable_progress_bar": False, "accelerator": "cpu"},
@@ -69,7 +72,7 @@ def fit_test_and_associate(settings, tmp_path, exported):
 
 
 def test_fusion(settings, tmp_path, capsys):
-    settings["model"] = {"class_path": "train.fusion.FusionTraining"}
+    settings["model"] = {"class_path": "mixer_torch.train.fusion.FusionTraining"}
     settings["checkpoint"] = {"monitor": "val/f1", "mode": "max"}
     settings["early_stopping"] = {"monitor": "val/f1", "mode": "max"}
     metrics, found = fit_test_and_associate(settings, tmp_path, "fusion.yaml")
@@ -89,16 +92,16 @@ def test_fusion(settings, tmp_path, capsys):
 
 
 def test_pair_network_and_on_through_the_clustering(settings, tmp_path):
-    settings["model"] = {"class_path": "train.pairs.PairTraining"}
+    settings["model"] = {"class_path": "mixer_torch.train.pairs.PairTraining"}
     metrics, found = fit_test_and_associate(settings, tmp_path, "scorers.yaml")
     assert found == pytest.approx(metrics["network"]["f1"])
     start = tmp_path / "run" / "export" / "pair_network.safetensors"
     settings["out"] = str(tmp_path / "through")
     settings["model"] = {
-        "class_path": "train.clustering.AssociationTraining",
+        "class_path": "mixer_torch.train.clustering.AssociationTraining",
         "init_args": {"start": str(start)},
     }
-    settings["data"]["class_path"] = "train.clustering.WindowData"
+    settings["data"]["class_path"] = "mixer_torch.train.clustering.WindowData"
     settings["data"]["init_args"] |= {"views": 4, "stride": 4}
     settings["trainer"]["max_epochs"] = 1
     path = tmp_path / "through.yaml"
@@ -172,7 +175,10 @@ def test_dependence_of_copies_is_one():
 
 
 def test_members_are_trained_side_by_side_and_saved_in_one_file(settings, tmp_path):
-    settings["model"] = {"class_path": "train.pairs.PairTraining", "init_args": {"members": 3}}
+    settings["model"] = {
+        "class_path": "mixer_torch.train.pairs.PairTraining",
+        "init_args": {"members": 3},
+    }
     metrics, found = fit_test_and_associate(settings, tmp_path, "scorers.yaml")
     assert found == pytest.approx(metrics["network"]["f1"])
     saved = load_network(

@@ -14,7 +14,7 @@ import yaml
 from safetensors.torch import load_file
 
 from mixer_torch.cli import main as mixer
-from train.cli import main as mixer_train
+from mixer_torch.train.cli import main as mixer_train
 
 
 def write_table(path, seed, objects=8, frames=10):
@@ -39,12 +39,12 @@ def config(tmp_path):
         write_table(tmp_path / f"{part}.csv", seed)
     settings = {
         "out": str(tmp_path / "run"),
-        "model": {"class_path": "train.calibration.CalibratorTraining"},
+        "model": {"class_path": "mixer_torch.train.calibration.CalibratorTraining"},
         "data": {
-            "class_path": "train.data.PairData",
+            "class_path": "mixer_torch.train.data.PairData",
             "init_args": {
                 "scorers": [
-                    {"class_path": "scorers.Proximity", "init_args": {"scale": 0.4}},
+                    {"class_path": "mixer_torch.scorers.Proximity", "init_args": {"scale": 0.4}},
                 ],
                 **{p: [table(tmp_path / f"{p}.csv")] for p in ("train", "validate", "test")},
                 "batch_size": 256,
@@ -113,7 +113,7 @@ def test_killed_in_mid_epoch_it_ends_with_the_same_metrics(config, tmp_path):
     run("fit", "--config", config, "--out", whole)
     (tmp_path / "killer.py").write_text(KILLER)
     words = ["fit", "--config", config, "--out", broken, "--trainer.callbacks+=killer.Killer"]
-    start = "import sys; from train.cli import main; sys.exit(main())"
+    start = "import sys; from mixer_torch.train.cli import main; sys.exit(main())"
     path = os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])])
     threads = str(torch.get_num_threads())  # sums differ in the last bit with their number
     killed = subprocess.run(
@@ -144,7 +144,10 @@ def test_killed_in_mid_epoch_it_ends_with_the_same_metrics(config, tmp_path):
         (["--data.init_args.pairs", "mixer_torch.Within"], "window"),
         (["--model.init_args.learning_rat", "1"], "learning_rat"),
         (
-            ["--model.init_args.special", "{Sonar: {class_path: scorers.calibrators.Platt}}"],
+            [
+                "--model.init_args.special",
+                "{Sonar: {class_path: mixer_torch.scorers.calibrators.Platt}}",
+            ],
             "Sonar",
         ),
     ],

@@ -5,7 +5,7 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.observations import Observations
-from train.selectors import AtGaps
+from mixer_torch.train.selectors import AtGaps
 
 
 def seen(m=40):

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.moves.decomposition import Parts
-from mixer_torch.solvers.moves.graph import Graph, shares_token
+from mixer_torch.solvers.search.decomposition import Parts
+from mixer_torch.solvers.search.graph import Graph, shares_token
 
 ENTRIES_CPU = 2**15 - 1  # of a batch: torch splits larger elementwise kernels among threads
 LARGEST_CPU = 180  # observations of a problem up to which one thread is best

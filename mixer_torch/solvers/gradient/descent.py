@@ -30,7 +30,7 @@ def descend(
 ) -> Descent:
     """Minimise F_d for one d after the other, each from where the last one ended.
 
-    F_d, its gradient and constraints are those of :mod:`mixer_torch.solvers.relaxation`, with costs
+    F_d, its gradient and constraints are those of :mod:`mixer_torch.solvers.gradient.relaxation`, with costs
     divided by the largest one. d starts below where cost and penalties balance
     (:func:`first_penalty`). A level ends where a step moves no entry any more. A problem is
     finished if both penalties vanish there; otherwise its d is doubled and U is disturbed a little,

@@ -8,7 +8,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from mixer_torch.solvers.compiled import compiled, vectorised
-from mixer_torch.solvers.relaxation import project_to_row_sum_at_most_one, project_to_simplex
+from mixer_torch.solvers.gradient.relaxation import (
+    project_to_row_sum_at_most_one,
+    project_to_simplex,
+)
 
 
 def project_rows(
@@ -18,7 +21,7 @@ def project_rows(
 ) -> Float[Tensor, "B m k"]:
     """Rows that are kept onto the simplex, or where it is said onto row sums <= 1; others to 0.
 
-    The same as the functions of :mod:`mixer_torch.solvers.relaxation`, for the inner loop: on the
+    The same as the functions of :mod:`mixer_torch.solvers.gradient.relaxation`, for the inner loop: on the
     CPU it is compiled, and may overwrite ``rows``.
     """
     if at_most is None:

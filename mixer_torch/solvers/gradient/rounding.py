@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from mixer_torch.solvers.gradient.batch import Batch
-from mixer_torch.solvers.relaxation import is_binary
+from mixer_torch.solvers.gradient.relaxation import is_binary
 
 
 def binary_labels(

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mixer_torch.solvers.moves.graph import Graph, compact
 from mixer_torch.solvers.proof.cuts import separate
 from mixer_torch.solvers.proof.dual_ascent import ascend
 from mixer_torch.solvers.proof.pair_program import Optimum, PairProgram
 from mixer_torch.solvers.refinement import refine
+from mixer_torch.solvers.search.graph import Graph, compact
 
 DECIDED = 1e-6
 PROVEN = 1e-7  # of the largest cost: what is not better by more is not better

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixer_torch.solvers.base import Problem
-from mixer_torch.solvers.moves.graph import Graph
+from mixer_torch.solvers.search.graph import Graph
 
 
 def graph_of(problem: Problem) -> Graph:

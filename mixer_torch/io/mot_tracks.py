@@ -1,0 +1,198 @@
+"""Tracks as text in the format of MOTChallenge: results in and out, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from mixer_torch.datasets.motchallenge import corners
+from mixer_torch.io.files import written_whole
+from mixer_torch.io.motchallenge import CLASS_COLUMNS, read_table
+from mixer_torch.io.text import read_numbers, refuse
+from mixer_torch.metrics.tracking import match, similarity
+from mixer_torch.tracks import Tracks
+
+MIN_COLUMNS = 6
+CONFIDENCE = 6
+UNKNOWN = -1
+DISTRACTORS = (2, 7, 8, 12)
+"""Persons on vehicles, static persons, distractors and reflections, by their class."""
+VEHICLE = 6
+"""A vehicle without motor, which is a distractor in MOT20 alone."""
+DISTRACTOR_OVERLAP = 0.5
+
+
+def read_mot(path: str | Path) -> Tracks:
+    """Read results: lines of frame, id, left, top, width, height, and more that may be missing.
+
+    The seventh column is the confidence; -1 says that it is not known. All columns after it are
+    let by. What stands between numbers is commas, or white space where the first line has no
+    comma. Whole numbers may be written as 3.0. Where identities count from 0, all are raised by 1.
+
+    Args:
+        path: Text file; one of no lines has no tracks.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: A line is malformed, a frame or an identity is no whole number of 0 or more (an
+            identity of -1 is a detection of no track), or an identity is twice in a frame; the
+            message names the file and the line.
+    """
+    path = Path(path)
+    rows, number = read_numbers(path, MIN_COLUMNS, delimiter=_delimiter(path))
+    refuse(path, number, ~np.isfinite(rows[:, :MIN_COLUMNS]).all(1), "a number is not finite")
+    frame, identity = _whole(path, number, rows)
+    confidence = rows[:, CONFIDENCE] if rows.shape[1] > CONFIDENCE else np.ones(len(rows))
+    confidence = np.where(confidence == UNKNOWN, np.nan, confidence)
+    return Tracks(frame, identity, corners(rows), confidence)
+
+
+def write_mot(path: str | Path, tracks: Tracks) -> None:
+    """Write results: frame, id, left, top, width, height, confidence, -1, -1, -1.
+
+    Pixels have two decimals, and a confidence that is not known is -1.
+
+    Raises:
+        ValueError: The tracks are of several cameras, which the format cannot tell apart.
+    """
+    check_one_camera(tracks)
+    size = tracks.box[:, 2:] - tracks.box[:, :2]
+    sure = np.where(np.isnan(tracks.confidence), UNKNOWN, tracks.confidence)
+    rows = zip(
+        tracks.frame.tolist(),
+        tracks.identity.tolist(),
+        np.hstack([tracks.box[:, :2], size]).tolist(),
+        sure.tolist(),
+        strict=True,
+    )
+    with written_whole(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+        for frame, identity, (left, top, width, height), confidence in rows:
+            box = f"{left:.2f},{top:.2f},{width:.2f},{height:.2f}"
+            file.write(f"{frame},{identity},{box},{confidence:.4g},-1,-1,-1\n")
+
+
+def check_one_camera(tracks: Tracks) -> None:
+    """ValueError where tracks are of several cameras."""
+    cameras = np.unique(tracks.camera)
+    if len(cameras) > 1:
+        names = ", ".join(map(str, cameras))
+        raise ValueError(
+            f"tracks: expected one camera, got {names}; select(tracks.camera == {cameras[0]}) first"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MotTruth:
+    """The truth of a sequence: what is to be found, and what is neither right nor wrong to find.
+
+    Args:
+        tracks: What is to be found.
+        frame: (k,) int64 of the boxes that are not to be found: marked to be ignored (flag 0), or
+            of another class.
+        box: (k, 4) float64 x1 y1 x2 y2 of these.
+        distractor: (k,) bool, those that may be found.
+    """
+
+    tracks: Tracks
+    frame: Any
+    box: Any
+    distractor: Any
+
+    def without_distractors(self, result: Tracks) -> Tracks:
+        """The boxes that count, as MOTChallenge has them.
+
+        In each frame the boxes of a result are assigned to all true boxes, of whatever class and
+        flag, so that the sum of overlaps is greatest; from 0.5 upwards an overlap counts. Those
+        assigned to a distractor are left out. Those on other boxes that are not to be found stay,
+        and are wrong.
+        """
+        away = np.zeros(len(result), dtype=bool)
+        order = np.argsort(self.frame, kind="stable")
+        others = self.frame[order]
+        for frame in np.unique(self.frame[self.distractor]).tolist():
+            found = _rows_of(frame, result.frame)
+            other = order[_rows_of(frame, others)]
+            wanted = self.tracks.box[_rows_of(frame, self.tracks.frame)]
+            true = np.concatenate([wanted, self.box[other]])
+            distractor = np.append(np.zeros(len(wanted), dtype=bool), self.distractor[other])
+            row, column = match(similarity(true, result.box[found]), DISTRACTOR_OVERLAP)
+            away[found][column[distractor[row]]] = True
+        return result.select(~away)
+
+
+def read_mot_truth(
+    path: str | Path, classes: Sequence[int] = (1,), distractors: Sequence[int] | None = None
+) -> MotTruth:
+    """Read ``gt.txt``: frame, id, left, top, width, height, flag, ...
+
+    Rows of flag 0 are not to be found. A file of nine columns is of MOT16 or later and has a class
+    in the eighth; all others have one class and no distractors.
+
+    Args:
+        path: The file.
+        classes: What is to be found, by class; 1 is pedestrians.
+        distractors: What may be found, by class; if None, persons on vehicles (2), static persons
+            (7), distractors (8) and reflections (12), and in sequences whose folder is called
+            MOT20... vehicles without motor (6), too.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: A line is malformed, or an identity is twice in a frame; the message names the
+            file and the line.
+    """
+    path = Path(path)
+    if distractors is None:
+        of_mot20 = path.resolve().parent.parent.name.startswith("MOT20")
+        distractors = (*DISTRACTORS, VEHICLE) if of_mot20 else DISTRACTORS
+    rows, number = read_table(path)
+    wanted = rows[:, 6] != 0
+    distractor = np.zeros(len(rows), dtype=bool)
+    if rows.shape[1] == CLASS_COLUMNS:
+        wanted &= np.isin(rows[:, 7], classes)
+        distractor = np.isin(rows[:, 7], distractors)
+    frame, identity = _whole(path, number[wanted], rows[wanted])
+    tracks = Tracks(frame, identity, corners(rows[wanted]))
+    others = rows[~wanted]
+    return MotTruth(tracks, others[:, 0].astype(np.int64), corners(others), distractor[~wanted])
+
+
+def _rows_of(frame: int, frames: Int64[np.ndarray, " n"]) -> slice:
+    """Where a frame stands among frames in order."""
+    return slice(*np.searchsorted(frames, [frame, frame + 1]))
+
+
+def _delimiter(path: Path) -> str | None:
+    if not path.is_file():
+        return ","
+    with path.open(encoding="utf-8-sig") as file:
+        first = next((line for line in file if line.strip()), ",")
+    return "," if "," in first else None
+
+
+def _whole(
+    path: Path, number: Int64[np.ndarray, " n"], rows: Float64[np.ndarray, "n columns"]
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+    """Frames and identities, which count from 1."""
+    frame, identity = rows[:, 0], rows[:, 1]
+    refuse(path, number, (frame < 0) | (frame % 1 != 0), "expected a frame of 0 or more")
+    refuse(
+        path,
+        number,
+        (identity < 0) | (identity % 1 != 0),
+        "expected an identity of 0 or more; -1 marks a detection of no track",
+    )
+    first = np.unique(rows[:, :2], axis=0, return_index=True)[1]
+    repeated = np.ones(len(rows), dtype=bool)
+    repeated[first] = False
+    refuse(path, number, repeated, "this identity is in this frame already")
+    return frame.astype(np.int64), from_one(identity.astype(np.int64))
+
+
+def from_one(identity: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Identities raised by 1 where one of them is 0."""
+    return identity + int(identity.min(initial=1) == 0)

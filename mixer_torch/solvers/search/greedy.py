@@ -1,0 +1,269 @@
+"""Greedy additive contraction: join the pair of clusters that lowers the cost most, and repeat."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mixer_torch.solvers.compiled import compiled, inner
+from mixer_torch.solvers.search.graph import Graph
+
+
+def greedy(graph: Graph) -> np.ndarray:
+    """Labels by greedy additive edge contraction (GAEC; Keuper et al., ICCV 2015).
+
+    As long as some two clusters that share no token have a negative total cost, the two with the
+    most negative one are joined. Ties go to the pair with the smaller node numbers. Takes
+    O(P log P) on sparse graphs, and no random draw.
+
+    Args:
+        graph: The problem.
+
+    Returns:
+        (n,) int64, each cluster named by its first member.
+    """
+    return _contract(graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token)
+
+
+_ROOT = np.int64(0)  # of the heap
+
+
+class Cells(NamedTuple):
+    """The edges of the clusters as linked lists, two cells (one from each end) for each edge.
+
+    Args:
+        far: (E,) the cluster at the other end, -1 for a dead cell.
+        cost: (E,) cost between the two clusters, the same in both cells.
+        after: (E,) the next cell of the same cluster, -1 for none.
+        twin: (E,) the cell from the other end.
+        first: (n,) and
+        last: (n,) ends of each cluster's list, -1 if it is empty.
+        degree: (n,) cells in the list, dead ones included.
+        mark: (n,) scratch, -1 everywhere between joins.
+    """
+
+    far: np.ndarray
+    cost: np.ndarray
+    after: np.ndarray
+    twin: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    degree: np.ndarray
+    mark: np.ndarray
+
+
+@compiled
+def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-untyped-def]
+    """Joins in the order of a heap of (cost, cell); entries that are out of date are skipped."""
+    n = len(start) - 1
+    cells = _cells(start, neighbour, cost)
+    held, next_held = _token_chains(token_start, len(token))
+    parent = np.arange(n)
+    key, entry = np.empty(len(cost) + 1), np.empty(len(cost) + 1, np.int32)
+    size = _fill_heap(start, neighbour, cost, key, entry)
+    while size > 0:
+        value, cell = key[0], entry[0]
+        size -= 1
+        key[0], entry[0] = key[size], entry[size]
+        _sift_down(key, entry, size, _ROOT)
+        if cells.far[cell] < 0 or cells.cost[cell] != value:
+            continue
+        a, b = cells.far[cells.twin[cell]], cells.far[cell]
+        if _share(held[a], held[b], next_held, token):
+            continue
+        if cells.degree[a] < cells.degree[b] or (cells.degree[a] == cells.degree[b] and b < a):
+            a, b = b, a
+        parent[b] = a
+        held[a] = _union(held[a], held[b], next_held, token)
+        size = _join(cells, a, b, key, entry, size)
+    return _named(parent)
+
+
+@compiled
+def _token_chains(token_start, count):  # type: ignore[no-untyped-def]
+    """Each node's tokens as a linked list: its first, and the next of each; -1 ends a list."""
+    n = len(token_start) - 1
+    held, next_held = token_start[:n].copy(), np.arange(1, count + 1)
+    for a in range(n):
+        if token_start[a] == token_start[a + 1]:
+            held[a] = -1
+        else:
+            next_held[token_start[a + 1] - 1] = -1
+    return held, next_held
+
+
+@inner
+def _fill_heap(start, neighbour, cost, key, entry):  # type: ignore[no-untyped-def]
+    """All negative costs as a heap, one entry an edge; returns its size."""
+    size = 0
+    for a in range(len(start) - 1):
+        for e in range(start[a], start[a + 1]):
+            if a < neighbour[e] and cost[e] < 0:
+                key[size], entry[size] = cost[e], e
+                size += 1
+    for i in range(size // 2 - 1, -1, -1):
+        _sift_down(key, entry, size, i)
+    return size
+
+
+@compiled
+def _cells(start, neighbour, cost):  # type: ignore[no-untyped-def]
+    n, edges = len(start) - 1, len(neighbour)
+    after, twin = np.empty(edges, np.int32), np.empty(edges, np.int32)
+    first, last = np.full(n, -1, np.int32), np.full(n, -1, np.int32)
+    fill = start[:n].copy()
+    for a in range(n):
+        for e in range(start[a], start[a + 1]):
+            after[e] = e + 1 if e + 1 < start[a + 1] else -1
+            b = neighbour[e]
+            if a < b:  # neighbours ascend, so b's cells fill up in the order of a
+                twin[e] = fill[b]
+                twin[fill[b]] = e
+                fill[b] += 1
+        if start[a] < start[a + 1]:
+            first[a], last[a] = start[a], start[a + 1] - 1
+    mark = np.full(n, -1, np.int32)
+    return Cells(neighbour.copy(), cost.copy(), after, twin, first, last, np.diff(start), mark)
+
+
+@inner
+def _join(cells, a, b, key, entry, size):  # type: ignore[no-untyped-def]
+    """The cells of b go over to a; costs to a common neighbour add up and enter the heap anew."""
+    _drop_dead(cells, a)
+    _drop_dead(cells, b)
+    cell = cells.first[a]
+    while cell >= 0:
+        cells.mark[cells.far[cell]] = cell
+        cell = cells.after[cell]
+    end, cell = cells.last[a], cells.first[b]
+    while cell >= 0:
+        following, far, twin = cells.after[cell], cells.far[cell], cells.twin[cell]
+        kept = cells.mark[far]
+        if far == a:
+            cells.far[cell] = cells.far[twin] = -1
+        elif kept < 0:
+            cells.far[twin] = a
+            cells.after[cells.last[a]] = cell
+            cells.last[a] = cell
+            cells.after[cell] = -1
+            cells.degree[a] += 1
+        else:
+            total = cells.cost[kept] + cells.cost[cell]
+            cells.far[cell] = cells.far[twin] = -1
+            cells.cost[kept] = cells.cost[cells.twin[kept]] = total
+            if total < 0:
+                key[size], entry[size] = total, kept
+                size += 1
+                _sift_up(key, entry, size - 1)
+        cell = following
+    cell = cells.first[a]
+    while cell >= 0:
+        if cells.far[cell] >= 0:
+            cells.mark[cells.far[cell]] = -1
+        if cell == end:
+            break
+        cell = cells.after[cell]
+    cells.mark[b] = -1
+    cells.first[b] = -1
+    return size
+
+
+@inner
+def _drop_dead(cells, a):  # type: ignore[no-untyped-def]
+    """Unlink the dead cells of a; at least the cell that makes it join is alive."""
+    cell, behind = cells.first[a], np.int32(-1)
+    cells.degree[a] = 0
+    while cell >= 0:
+        following = cells.after[cell]
+        if cells.far[cell] >= 0:
+            if behind < 0:
+                cells.first[a] = cell
+            else:
+                cells.after[behind] = cell
+            behind = cell
+            cells.degree[a] += 1
+        cell = following
+    cells.last[a] = behind
+    if behind >= 0:
+        cells.after[behind] = -1
+
+
+@inner
+def _share(i, j, next_held, token):  # type: ignore[no-untyped-def]
+    """Whether two ascending token lists have one in common."""
+    while i >= 0 and j >= 0:
+        if token[i] == token[j]:
+            return True
+        if token[i] < token[j]:
+            i = next_held[i]
+        else:
+            j = next_held[j]
+    return False
+
+
+@inner
+def _union(i, j, next_held, token):  # type: ignore[no-untyped-def]
+    """One ascending list of two without common tokens; returns its head."""
+    if i < 0 or j < 0:
+        return max(i, j)
+    if token[j] < token[i]:
+        i, j = j, i
+    head = i
+    while j >= 0:
+        while next_held[i] >= 0 and token[next_held[i]] < token[j]:
+            i = next_held[i]
+        rest = next_held[i]
+        next_held[i] = j
+        i, j = j, rest
+    return head
+
+
+@compiled
+def _named(parent):  # type: ignore[no-untyped-def]
+    """Each node's cluster, named by its first member."""
+    n = len(parent)
+    name = np.full(n, -1, np.int64)
+    label = np.empty(n, np.int64)
+    for i in range(n):
+        root = i
+        while parent[root] != root:
+            root = parent[root]
+        at = i
+        while parent[at] != root:
+            parent[at], at = root, parent[at]
+        if name[root] < 0:
+            name[root] = i
+        label[i] = name[root]
+    return label
+
+
+@inner
+def _before(key, entry, i, j):  # type: ignore[no-untyped-def]
+    return key[i] < key[j] or (key[i] == key[j] and entry[i] < entry[j])
+
+
+@inner
+def _sift_down(key, entry, size, i):  # type: ignore[no-untyped-def]
+    while True:
+        child = 2 * i + 1
+        if child >= size:
+            return
+        if child + 1 < size and _before(key, entry, child + 1, child):
+            child += 1
+        if not _before(key, entry, child, i):
+            return
+        key[i], key[child] = key[child], key[i]
+        entry[i], entry[child] = entry[child], entry[i]
+        i = child
+
+
+@inner
+def _sift_up(key, entry, i):  # type: ignore[no-untyped-def]
+    while i > 0:
+        parent = (i - 1) // 2
+        if not _before(key, entry, i, parent):
+            return
+        key[i], key[parent] = key[parent], key[i]
+        entry[i], entry[parent] = entry[parent], entry[i]
+        i = parent

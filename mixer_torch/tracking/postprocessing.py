@@ -1,0 +1,118 @@
+"""What comes after association: which tracks are objects, and where they were in between."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+
+from mixer_torch.tracks import Tracks
+
+SLACK = 0.01
+
+
+def members(tracks: Tracks) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+    """The rows in order of track and frame, and which track each of them is of, from 0.
+
+    A track is one identity in one camera.
+    """
+    order = np.lexsort((tracks.frame, tracks.camera, tracks.identity))
+    key = np.stack([tracks.identity, tracks.camera])[:, order]
+    change = (key[:, 1:] != key[:, :-1]).any(0)
+    return order, np.concatenate([np.zeros(min(len(order), 1), int), np.cumsum(change)])
+
+
+def strong(
+    tracks: Tracks, min_boxes: int, min_confidence: float, min_strength: float = 0.0
+) -> Bool[np.ndarray, " n"]:
+    """Which boxes are of tracks that are long and sure enough to be objects.
+
+    Args:
+        tracks: What was found; boxes whose confidence is not known count as sure.
+        min_boxes: Boxes that an identity needs, over all cameras.
+        min_confidence: Confidence that it needs: 1.01 less the geometric mean of 1.01 less those of
+            its boxes, which tells objects from clutter better than their mean.
+        min_strength: Sum of confidences that it needs.
+    """
+    identity, index = np.unique(tracks.identity, return_inverse=True)
+    confidence = np.nan_to_num(tracks.confidence, nan=1.0)
+    count = np.bincount(index, minlength=len(identity))
+    total = np.bincount(index, weights=confidence, minlength=len(identity))
+    doubt = np.log(1 + SLACK - confidence.clip(0, 1))
+    mean = np.exp(np.bincount(index, weights=doubt, minlength=len(identity)) / count.clip(1))
+    good = (count >= min_boxes) & (total >= min_strength)
+    good &= 1 + SLACK - mean >= min_confidence
+    return good[index]
+
+
+def interpolated(tracks: Tracks, max_gap: float) -> Tracks:
+    """Tracks with boxes in the frames that they miss, on a straight line between their neighbours.
+
+    Args:
+        tracks: What was found.
+        max_gap: Frames between two neighbours, at most, for what is between them to be filled.
+    """
+    order, track = members(tracks)
+    frame = tracks.frame[order]
+    missing = np.where(track[1:] == track[:-1], frame[1:] - frame[:-1] - 1, 0)
+    missing[missing + 1 > max_gap] = 0
+    before = np.repeat(np.arange(len(missing)), missing)
+    step = 1 + np.arange(len(before)) - np.repeat(np.cumsum(missing) - missing, missing)
+    left, right = order[before], order[before + 1]
+    share = step / (missing[before] + 1)
+    box = tracks.box[left] + share[:, None] * (tracks.box[right] - tracks.box[left])
+    confidence = np.minimum(tracks.confidence[left], tracks.confidence[right])
+    return Tracks(
+        np.concatenate([tracks.frame, tracks.frame[left] + step]),
+        np.concatenate([tracks.identity, tracks.identity[left]]),
+        np.concatenate([tracks.box, box]),
+        np.concatenate([tracks.confidence, confidence]),
+        np.concatenate([tracks.camera, tracks.camera[left]]),
+        np.concatenate([tracks.observation, np.full(len(left), -1)]),
+    )
+
+
+def smoothed(tracks: Tracks, bandwidth: float) -> Tracks:
+    """Tracks whose boxes are averages over time, each edge by local linear regression.
+
+    The edge y of a box at frame t is the value at t of the line that fits the edges of its track
+    best, by least squares with weights exp(-(t_i - t)^2 / (2 bandwidth^2)).
+
+    Args:
+        tracks: What was found.
+        bandwidth: Of the weights, frames; 0 leaves all as it is.
+    """
+    if bandwidth <= 0 or not len(tracks):
+        return tracks
+    order, track = members(tracks)
+    frame, box = tracks.frame[order].astype(np.float64), tracks.box[order]
+    sums = np.zeros((len(order), 3))
+    products = np.zeros((len(order), 2, 4))
+    for offset in range(-int(np.ceil(3 * bandwidth)), int(np.ceil(3 * bandwidth)) + 1):
+        here = np.arange(max(0, -offset), max(0, len(order) - max(0, offset)))
+        here = here[track[here] == track[here + offset]]
+        apart = frame[here + offset] - frame[here]
+        weight = np.exp(-0.5 * (apart / bandwidth) ** 2)
+        powers = weight[:, None] * apart[:, None] ** np.arange(3)
+        sums[here] += powers
+        products[here] += powers[:, :2, None] * box[here + offset, None]
+    fitted = np.empty_like(tracks.box)
+    fitted[order] = _line_at_zero(sums, products)
+    return Tracks(
+        tracks.frame,
+        tracks.identity,
+        fitted,
+        tracks.confidence,
+        tracks.camera,
+        tracks.observation,
+    )
+
+
+def _line_at_zero(
+    sums: Float[np.ndarray, "n 3"], products: Float[np.ndarray, "n 2 4"]
+) -> Float[np.ndarray, "n 4"]:
+    """The intercepts of weighted lines; the means where all weight is on one abscissa."""
+    weight, first, second = (column[:, None] for column in sums.T)
+    determinant = weight * second - first**2
+    flat = determinant <= 1e-9 * weight**2
+    line = second * products[:, 0] - first * products[:, 1]
+    return np.where(flat, products[:, 0] / weight, line / np.where(flat, 1.0, determinant))
