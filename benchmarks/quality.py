@@ -23,7 +23,7 @@ from tqdm import tqdm
 import mixer_torch as mx
 from mixer_torch.benchmarks import results
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import is_distinct
+from mixer_torch.solvers.problem import is_distinct
 
 WITH_VIEWS = {
     "one modality": {"noise": 0.3, "wrong": 0.1},

@@ -37,7 +37,7 @@ from tqdm import tqdm
 import mixer_torch as mx
 from mixer_torch.benchmarks import kernighan_lin, results
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import objective_of, problem_of
+from mixer_torch.solvers.problem import objective_of, problem_of
 
 DETECTIONS, WINDOW = 50, 2  # in a frame; frames between the two of a pair
 FRAMES = (4, 10, 30, 100, 300, 1000)

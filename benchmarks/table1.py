@@ -25,7 +25,7 @@ import mixer_torch as mx
 from mixer_torch.benchmarks import results
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.metrics.clustering import pairwise
-from mixer_torch.solvers.base import problem_of
+from mixer_torch.solvers.problem import problem_of
 
 LEVELS = {"paper": {"noise": 0.3, "wrong": 0.05}, "hard": {"noise": 0.5, "wrong": 0.15}}
 COLUMNS = (

@@ -16,7 +16,7 @@ from mixer_torch.observations import FolderFrames, Images, Observations, VideoFr
 from mixer_torch.pairs import Every, Nearest, PairSelector, Reachable, Within
 from mixer_torch.pipeline import associate
 from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer, score
-from mixer_torch.solvers.base import Solver, solve
+from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.clear import Clear
 from mixer_torch.solvers.exact import Exact
 from mixer_torch.solvers.hungarian import Hungarian
@@ -24,6 +24,7 @@ from mixer_torch.solvers.matchals import MatchALS
 from mixer_torch.solvers.matcheig import MatchEIG
 from mixer_torch.solvers.matchlift import MatchLift
 from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.solvers.problem import Solver
 from mixer_torch.solvers.quickmatch import QuickMatch
 from mixer_torch.solvers.spectral import Spectral
 from mixer_torch.solvers.threshold import AllPairs, Consecutive

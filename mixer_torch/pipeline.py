@@ -11,7 +11,8 @@ from mixer_torch.fusion import Fusion
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import PairSelector
 from mixer_torch.scoring import Progress, Scorer, score
-from mixer_torch.solvers.base import Solver, solve
+from mixer_torch.solvers.base import solve
+from mixer_torch.solvers.problem import Solver
 
 
 def associate(

@@ -15,7 +15,7 @@ from mixer_torch.datasets.base import Dataset
 from mixer_torch.fusion import Fusion
 from mixer_torch.pairs import PairSelector
 from mixer_torch.scoring import Calibrator, Scorer
-from mixer_torch.solvers.base import Solver
+from mixer_torch.solvers.problem import Solver
 from mixer_torch.tracking.base import BaseTracker
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from mixer_torch.benchmarks import kernighan_lin, quality, results, scaling, table1
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import problem_of
 from mixer_torch.solvers.exact import Exact
+from mixer_torch.solvers.problem import problem_of
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy
 

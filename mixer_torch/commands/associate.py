@@ -26,9 +26,9 @@ from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.scoring import Progress, Scorer
 from mixer_torch.scoring import score as score_pairs
-from mixer_torch.solvers.base import Solver
 from mixer_torch.solvers.base import solve as solve_affinity
 from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.solvers.problem import Solver
 
 MIXER: Any = lazy_instance(Mixer)
 LINEAR: Any = lazy_instance(LinearFusion)

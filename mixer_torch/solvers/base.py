@@ -1,124 +1,36 @@
-"""What a solver is, and solve(): an affinity in, an association that is checked out."""
+"""solve(): an affinity in, an association whose constraints have been checked out."""
 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, overload
+from dataclasses import replace
+from typing import Any, overload
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Int64
 from torch import Tensor
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.fusion import Fusion
 from mixer_torch.observations import distinct_views
+from mixer_torch.solvers.bounds import lower_bound
 from mixer_torch.solvers.constraints import Reduction, constrain
+from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.solvers.problem import (
+    Problem,
+    Solution,
+    Solver,
+    cost_inside,
+    cost_of_links,
+    is_distinct,
+    objective_of,
+    problem_of,
+)
 from mixer_torch.solvers.transfer import on_devices, on_host, through_host
 
-
-@dataclass(frozen=True)
-class Problem:
-    """What a solver is given: correlation clustering with cannot-link inside each view.
-
-        minimise  sum of cost over the pairs inside clusters
-        subject to  at most one observation of each view in a cluster
-
-    Args:
-        pairs: (2, P) int64, smaller index first, none within a view.
-        cost: (P,) float: negative attracts, positive repels; a pair not listed costs 0.
-        view: (m,) int64 >= 0.
-        score: (P,) the mean of the modalities' scores, for algorithms that know only one score
-            a pair. It is 0.5 where the paper's cost is 0: mean = (1 - cost / l) / 2.
-        tokens: (2, K) int64, or None where each node has one view and ``view`` says it all. Where
-            must-link or cannot-link pairs are given, a node is a group of observations with a set
-            of views: column (a, t) says that node a has token t, and two nodes with a token in
-            common may not share a cluster. ``view`` is then 0..m-1 and says nothing. Only a
-            solver whose class says ``takes_tokens`` is given such a problem.
-    """
-
-    pairs: Int64[Tensor, "2 P"]
-    cost: Float[Tensor, " P"]
-    view: Int64[Tensor, " m"]
-    score: Float[Tensor, " P"]
-    tokens: Int64[Tensor, "2 K"] | None = None
-
-    def __len__(self) -> int:
-        """m, the number of observations."""
-        return len(self.view)
-
-    @property
-    def incidence(self) -> Int64[Tensor, "2 K"]:
-        """(2, K) which node has which token, whether they are sets of views or views."""
-        if self.tokens is not None:
-            return self.tokens
-        return torch.stack([torch.arange(len(self), device=self.view.device), self.view])
-
-    def apart(self) -> Bool[Tensor, "m m"]:
-        """Which nodes may not share a cluster (P_d of the paper): those with a common token."""
-        if self.tokens is None:
-            apart = self.view[:, None] == self.view
-        else:
-            token = torch.unique(self.tokens[1], return_inverse=True)[1]
-            has = self.cost.new_zeros(len(self), int(token.max()) + 1 if len(token) else 0)
-            has[self.tokens[0], token] = 1
-            apart = has @ has.T > 0
-        return apart.fill_diagonal_(False)
-
-    def simplified(self) -> Problem:
-        """The same problem without tokens that only one node has, as plain views if possible."""
-        if self.tokens is None:
-            return self
-        token, size = torch.unique(self.tokens[1], return_inverse=True, return_counts=True)[1:]
-        node, token = self.tokens[0][size[token] > 1], token[size[token] > 1]
-        if len(node) and int(torch.bincount(node).max()) > 1:
-            return replace(self, tokens=torch.stack([node, token]))
-        view = torch.full_like(self.view, -1)
-        view[node] = token
-        return replace(self, view=distinct_views(view), tokens=None)
-
-    def dense_cost(self) -> Float[Tensor, "m m"]:
-        """The symmetric matrix Ā of fused costs, 0 on the diagonal and within views."""
-        full = self.cost.new_zeros(len(self), len(self))
-        full[self.pairs[0], self.pairs[1]] = self.cost
-        full[self.pairs[1], self.pairs[0]] = self.cost
-        return full
-
-
-@dataclass(frozen=True)
-class Solution:
-    """What a solver returns: labels (m,) of any integers, or, if it has none, links (2, Q).
-
-    Labels may be on the CPU wherever the problem is.
-    """
-
-    status: Status
-    labels: Tensor | None = None
-    links: Tensor | None = None
-    lower_bound: float | None = None
-    stats: Mapping[str, Any] = field(default_factory=dict)
-
-
-class Solver(ABC):
-    """An algorithm. Its constructor takes the knobs; :func:`solve` does the rest.
-
-    ``takes_tokens`` says whether it can solve a problem whose nodes have sets of views, which is
-    what must-link and cannot-link pairs lead to. One that cannot is only given such constraints
-    where each group of linked observations is of one view at most.
-    """
-
-    takes_tokens: ClassVar[bool] = False
-
-    @abstractmethod
-    def run(self, problem: Problem) -> Solution:
-        """Solve one problem with m >= 1, on the device of its tensors, writing to none of them."""
-
-    def run_batch(self, problems: Sequence[Problem]) -> list[Solution]:
-        """Solve several; one after the other unless a solver knows better."""
-        return [self.run(problem) for problem in problems]
+__all__ = ["Problem", "Solution", "Solver", "is_distinct", "objective_of", "problem_of", "solve"]
 
 
 @overload
@@ -178,8 +90,6 @@ def solve(
         TypeError: An argument is of the wrong type.
         ValueError: The constraints contradict one another, or the solver cannot honour them.
     """
-    from mixer_torch.solvers.mixer import Mixer
-
     solver = Mixer() if solver is None else solver
     if not isinstance(solver, Solver):
         raise TypeError(f"solver: expected an instance of Solver, got {solver!r}")
@@ -239,26 +149,16 @@ def _run(
             continue
         solution = next(solved)
         if bound and solution.lower_bound is None:
-            from mixer_torch.solvers.bounds import lower_bound
-
             solution = replace(solution, lower_bound=lower_bound(problem))
         yield solution
-
-
-def problem_of(affinity: Affinity, fusion: Fusion | None = None) -> Problem:
-    """The combinatorial problem that an affinity poses under a fusion."""
-    return _problems([affinity], fusion)[0]
 
 
 def _problems(affinities: Sequence[Affinity], fusion: Fusion | None) -> list[Problem]:
     """The problem of each affinity; however many there are, the host waits for a device once."""
     views = through_host(distinct_views, [affinity.view for affinity in affinities])
-    problems = []
-    with torch.no_grad():
-        for affinity, view in zip(affinities, views, strict=True):
-            cost, mean = affinity.cost(fusion), affinity.scores.mean(0)
-            problems.append(Problem(affinity.pairs, cost, view, mean))
-    return problems
+    return [
+        problem_of(affinity, fusion, view) for affinity, view in zip(affinities, views, strict=True)
+    ]
 
 
 def _associations(
@@ -275,9 +175,9 @@ def _associations(
         if i in labels:
             if broken := reduction.broken(labels[i]):
                 raise RuntimeError(f"the solver broke {broken}")
-            objectives.append(_cost_inside(problem, labels[i]))
+            objectives.append(cost_inside(problem, labels[i]))
         elif solution.links is not None:
-            objectives.append(_cost_of_links(problem, solution.links))
+            objectives.append(cost_of_links(problem, solution.links))
         else:
             raise RuntimeError("the solver returned neither labels nor links")
     answers = []
@@ -317,33 +217,3 @@ def _renumbered(
             raise RuntimeError("the solver put two observations of one view into one cluster")
     there = on_devices(labels, [view.device for view in views])
     return dict(zip(given, there, strict=True))
-
-
-def objective_of(problem: Problem, labels: Int64[Tensor, " m"]) -> float:
-    """Sum of the cost over the pairs inside clusters, in float64."""
-    return float(_cost_inside(problem, labels))
-
-
-def _cost_inside(problem: Problem, labels: Int64[Tensor, " m"]) -> Float[Tensor, ""]:
-    return _sum_of(problem.cost, labels[problem.pairs[0]] == labels[problem.pairs[1]])
-
-
-def is_distinct(labels: Int64[Tensor, " m"], view: Int64[Tensor, " m"]) -> bool:
-    """Whether no cluster holds two observations of one view."""
-    if not len(labels):
-        return True
-    key = labels * (int(view.max()) + 1) + view
-    return len(torch.unique(key)) == len(key)
-
-
-def _cost_of_links(problem: Problem, links: Tensor) -> Float[Tensor, ""]:
-    m = len(problem)
-    listed = torch.isin(problem.pairs[0] * m + problem.pairs[1], links[0] * m + links[1])
-    return _sum_of(problem.cost, listed)
-
-
-def _sum_of(cost: Tensor, chosen: Tensor) -> Float[Tensor, ""]:
-    """In float64. On a device nothing is picked: the host would wait to learn how much it is."""
-    if cost.device.type == "cpu":
-        return cost[chosen].double().sum()
-    return torch.where(chosen, cost, 0).sum(dtype=torch.float64)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.fusion import Fusion
-from mixer_torch.solvers.base import Problem, problem_of
+from mixer_torch.solvers.problem import Problem, problem_of
 from mixer_torch.solvers.proof.branching import dense
 from mixer_torch.solvers.proof.dual_ascent import ascend
 from mixer_torch.solvers.proof.parts import graph_of, induced

@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
+from mixer_torch.solvers.problem import Problem, Solution
 from mixer_torch.solvers.synchronization import (
     Synchronization,
     bounded_universe,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Int64
@@ -14,9 +14,7 @@ from torch import Tensor
 from mixer_torch.affinity import waive
 from mixer_torch.association import by_first_appearance, links_of
 from mixer_torch.observations import distinct_views
-
-if TYPE_CHECKING:
-    from mixer_torch.solvers.base import Problem, Solution
+from mixer_torch.solvers.problem import Problem, Solution
 
 
 @dataclass(frozen=True)
@@ -180,8 +178,6 @@ def _chain(must: Tensor, m: int, a: int, b: int) -> str:
 
 
 def _reduce(problem: Problem, group: Tensor, cannot: Tensor) -> Reduction:
-    from mixer_torch.solvers.base import Problem
-
     count = int(group.max()) + 1
     inside = group[problem.pairs[0]] == group[problem.pairs[1]]
     offset = float(problem.cost[inside].double().sum())

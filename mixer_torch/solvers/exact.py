@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.bounds import BLOCK, bound_of_parts
+from mixer_torch.solvers.mixer import Mixer
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.proof.branching import PROVEN, BranchAndCut, Proof
 from mixer_torch.solvers.proof.parts import graph_of, induced
 from mixer_torch.solvers.search.decomposition import cut_along, decompose
@@ -81,8 +82,6 @@ class Exact(Solver):
         )
 
     def _warm_start(self, problem: Problem) -> np.ndarray:
-        from mixer_torch.solvers.mixer import Mixer
-
         limit = max(self.time_limit / 2, SHORTEST)
         start = Mixer(time_limit=limit) if self.start is None else self.start
         alone = np.arange(len(problem))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.synchronization import best_matches, labels_of_links
 
 

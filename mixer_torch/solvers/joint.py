@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.problem import Problem, Solution
 from mixer_torch.solvers.refinement import Effort, refine_parts, told
 from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose, part_costs
 from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE

@@ -7,8 +7,8 @@ from typing import ClassVar
 import torch
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.refinement import refine
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy

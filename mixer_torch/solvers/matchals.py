@@ -7,7 +7,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.pairs import within_view
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.synchronization import (
     check_evidence,
     evidence_matrix,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 
 from mixer_torch.pairs import within_view
-from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
+from mixer_torch.solvers.problem import Problem, Solution
 from mixer_torch.solvers.synchronization import (
     Synchronization,
     best_matches,

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.eigen import eigh
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.synchronization import (
     bounded_universe,
     check_evidence,

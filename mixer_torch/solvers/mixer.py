@@ -8,10 +8,10 @@ from typing import ClassVar, Literal, get_args
 import torch
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
 from mixer_torch.solvers.gradient.batch import Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.joint import Clock, solve_side_by_side
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.refinement import RESTARTS
 
 Schedule = Literal["anneal", "penalty"]

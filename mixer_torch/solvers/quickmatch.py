@@ -10,7 +10,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 
 NEUTRAL = 0.5
 BETWEEN_DISTINCT = math.sqrt(2.0)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled, mix
+from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
 from mixer_torch.solvers.search.exhaustive import enumerate_parts

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution
 from mixer_torch.solvers.eigen import eigh
+from mixer_torch.solvers.problem import Problem, Solution
 from mixer_torch.solvers.synchronization import (
     Synchronization,
     greedy_rounding,

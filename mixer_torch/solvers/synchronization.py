@@ -26,8 +26,8 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from mixer_torch.association import Status
-from mixer_torch.solvers.base import Problem, Solution, Solver, is_distinct
 from mixer_torch.solvers.eigen import eigh
+from mixer_torch.solvers.problem import Problem, Solution, Solver, is_distinct
 
 Evidence = Literal["match", "assignment", "attraction", "score"]
 

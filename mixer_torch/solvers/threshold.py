@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mixer_torch.solvers.base import Problem, Solution, Solver
+from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.synchronization import solution_of_links
 
 

@@ -15,8 +15,9 @@ from mixer_torch.fusion import Fusion, LogOddsFusion
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import PairSelector, Reachable, within_view
 from mixer_torch.scoring import Progress, Scorer, score
-from mixer_torch.solvers.base import Solver, solve
+from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.solvers.problem import Solver
 from mixer_torch.tracking.appearance import looks, with_looks
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.camera_motion import CameraMotion

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import torch
 
-from mixer_torch.solvers.base import Problem
+from mixer_torch.solvers.problem import Problem
 
 
 @cache

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import Problem, Solution, Solver, is_distinct, objective_of
+from mixer_torch.solvers.problem import Problem, Solution, Solver, is_distinct, objective_of
 
 NONE, FOUR = torch.zeros(0, dtype=torch.int64), torch.tensor([4])
 VIEW = torch.tensor([0, 0, 1, 1])

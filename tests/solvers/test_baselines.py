@@ -8,12 +8,12 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.metrics.clustering import evaluate
-from mixer_torch.solvers.base import is_distinct, problem_of
 from mixer_torch.solvers.clear import Clear
 from mixer_torch.solvers.hungarian import Hungarian
 from mixer_torch.solvers.matchals import MatchALS
 from mixer_torch.solvers.matcheig import MatchEIG
 from mixer_torch.solvers.matchlift import MatchLift
+from mixer_torch.solvers.problem import is_distinct, problem_of
 from mixer_torch.solvers.quickmatch import QuickMatch
 from mixer_torch.solvers.spectral import Spectral
 from mixer_torch.solvers.synchronization import best_matches, evidence_matrix, universe_size

@@ -3,12 +3,12 @@
 import torch
 
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import Problem, problem_of
 from mixer_torch.solvers.gradient.annealing import anneal, extreme_eigenvalues
 from mixer_torch.solvers.gradient.batch import ENTRIES_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.descent import descend
 from mixer_torch.solvers.gradient.relaxation import distinctness_matrix
 from mixer_torch.solvers.gradient.stage import spectral_start
+from mixer_torch.solvers.problem import Problem, problem_of
 from mixer_torch.solvers.search.decomposition import decompose
 from mixer_torch.solvers.search.graph import Graph
 

@@ -10,8 +10,8 @@ from enumeration import clusterings, optimum, random_problem
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers import bounds
-from mixer_torch.solvers.base import problem_of
 from mixer_torch.solvers.bounds import lower_bound, split
+from mixer_torch.solvers.problem import problem_of
 from mixer_torch.solvers.proof.cuts import Cuts, rows_of, separate
 from mixer_torch.solvers.proof.dual_ascent import ascend
 from mixer_torch.solvers.proof.parts import graph_of

@@ -8,8 +8,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import Problem, Solution, Solver, problem_of
 from mixer_torch.solvers.constraints import constrain
+from mixer_torch.solvers.problem import Problem, Solution, Solver, problem_of
 
 
 class Alone(Solver):

@@ -11,8 +11,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers import exact, mixer
-from mixer_torch.solvers.base import Problem, is_distinct, objective_of, problem_of
 from mixer_torch.solvers.exact import Exact
+from mixer_torch.solvers.problem import Problem, is_distinct, objective_of, problem_of
 from mixer_torch.solvers.proof.branching import granularity
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import Problem, is_distinct, objective_of
+from mixer_torch.solvers.problem import Problem, is_distinct, objective_of
 
 M = 13  # one more than enumeration takes
 

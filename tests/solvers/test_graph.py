@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from mixer_torch.solvers.base import Problem, objective_of
+from mixer_torch.solvers.problem import Problem, objective_of
 from mixer_torch.solvers.search.graph import Graph, compact, named_by_member
 
 

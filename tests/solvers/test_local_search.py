@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import problem_of, solve
+from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.exact import Exact
 from mixer_torch.solvers.local_search import LocalSearch
+from mixer_torch.solvers.problem import problem_of
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy
 

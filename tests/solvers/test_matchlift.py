@@ -6,7 +6,6 @@ import torch
 from scipy.optimize import minimize
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import is_distinct, objective_of, problem_of
 from mixer_torch.solvers.matchlift import (
     MatchLift,
     dual_bound,
@@ -15,6 +14,7 @@ from mixer_torch.solvers.matchlift import (
     positive_part,
     solve_program,
 )
+from mixer_torch.solvers.problem import is_distinct, objective_of, problem_of
 
 
 def random_program(seed, m=6, views=3, size=4):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import Problem, is_distinct, objective_of, problem_of
 from mixer_torch.solvers.mixer import Mixer
+from mixer_torch.solvers.problem import Problem, is_distinct, objective_of, problem_of
 
 PURE = {"refine": False}
 SETTINGS = [

@@ -3,8 +3,8 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import is_distinct, objective_of, problem_of
 from mixer_torch.solvers.parsimony import without_idle_links
+from mixer_torch.solvers.problem import is_distinct, objective_of, problem_of
 from mixer_torch.solvers.search.graph import Graph
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import mixer_torch as mx
-from mixer_torch.solvers.base import is_distinct, problem_of
+from mixer_torch.solvers.problem import is_distinct, problem_of
 from mixer_torch.solvers.quickmatch import QuickMatch, density, feature_distance, merge, tree
 
 

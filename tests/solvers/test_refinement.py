@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mixer_torch.solvers.base import Problem, is_distinct, objective_of
+from mixer_torch.solvers.problem import Problem, is_distinct, objective_of
 from mixer_torch.solvers.refinement import Effort, refine, refine_parts, restarts_of, told
 from mixer_torch.solvers.search.decomposition import decompose
 from mixer_torch.solvers.search.graph import Graph

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import objective_of, problem_of
 from mixer_torch.solvers.gradient.relaxation import (
     distinctness_matrix,
     distinctness_penalty,
@@ -21,6 +20,7 @@ from mixer_torch.solvers.gradient.relaxation import (
     relaxed_objective,
     row_sum_penalty,
 )
+from mixer_torch.solvers.problem import objective_of, problem_of
 
 PROJECTIONS = [project_to_simplex, project_to_row_sum_at_most_one]
 

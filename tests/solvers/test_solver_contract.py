@@ -11,7 +11,7 @@ from pretended_device import DEVICE, Generator, PretendedDevice
 import mixer_torch as mx
 import mixer_torch.solvers
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.base import is_distinct, objective_of, problem_of
+from mixer_torch.solvers.problem import is_distinct, objective_of, problem_of
 
 
 def find_solvers():

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.search.decomposition import Parts
 from mixer_torch.solvers.search.graph import Graph, shares_token
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixer_torch.solvers.base import Problem
+from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.search.graph import Graph
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mixer_torch.solvers.base import Problem
 from mixer_torch.solvers.compiled import compiled
+from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.transfer import on_host
 
 
