@@ -1,16 +1,18 @@
-"""Compiled kernels: the decorator that all of them share, and their random numbers."""
+"""Compiled kernels: the decorator that all of them share, and their random numbers.
+
+numba is imported where the first kernel is used: it takes a third as long as torch to import.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from functools import update_wrapper
+from functools import cache, cached_property, update_wrapper
 from inspect import unwrap
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 
 # in place of a node or slot; a plain -1 would be a type of its own to numba
@@ -27,6 +29,7 @@ _INNER = {
 }
 
 
+@cache
 def _version() -> str:
     """A hash of all sources with kernels.
 
@@ -41,12 +44,9 @@ def _version() -> str:
     return digest.hexdigest()
 
 
-_VERSION = _version()
-
-
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile when first called, and keep the machine code on disk where there is room for it."""
-    return _compiled(function)
+    return Kernel(function, {})
 
 
 def inner(function: Callable[..., Any]) -> Any:
@@ -55,7 +55,7 @@ def inner(function: Callable[..., Any]) -> Any:
     A call would pass every field of every array of a state, a hundred values and more, through
     memory: that took longer than what most of these functions do.
     """
-    return _compiled(function, **_INNER)
+    return Kernel(function, _INNER)
 
 
 def vectorised(function: Callable[..., Any]) -> Any:
@@ -64,25 +64,55 @@ def vectorised(function: Callable[..., Any]) -> Any:
     The order is fixed in the machine code, so the same input gives the same sum. Entries must be
     finite.
     """
-    return _compiled(function, fastmath={"reassoc", "nsz", "nnan", "contract"}, **_INNER)
+    fastmath = {"reassoc", "nsz", "nnan", "contract"}
+    return Kernel(function, {"fastmath": fastmath, **_INNER})
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """The version of the sources becomes a closure variable, which numba makes part of the key
-    under which it keeps the code.
+class Kernel:
+    """A function that is compiled when it is first used, by Python or by another kernel.
+
+    Args:
+        function: The function in Python.
+        options: Of ``numba.njit``.
     """
-    function = unwrap(function)  # from the checks of shapes while tests run
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.function = unwrap(function)  # from the checks of shapes while tests run
+        self.options = {"nogil": True, "error_model": "numpy", **options}
+        update_wrapper(self, self.function)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.dispatcher(*args)
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """What numba makes of the function."""
+        import numba
+
+        versioned = _versioned(self.function)
+        try:
+            return numba.njit(cache=True, **self.options)(versioned)
+        except RuntimeError:  # numba finds no folder that it may write to
+            return numba.njit(**self.options)(versioned)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """The attribute by which numba knows what a global name in another kernel stands for."""
+        return self.dispatcher._numba_type_
+
+
+def _versioned(function: Callable[..., Any]) -> FunctionType:
+    """The function with the version of all kernels' sources as a closure variable.
+
+    numba makes closure variables part of the key under which it keeps the machine code.
+    """
     code = function.__code__
     code = code.replace(co_freevars=(*code.co_freevars, "_version"))
-    closure = (*(function.__closure__ or ()), CellType(_VERSION))
+    closure = (*(function.__closure__ or ()), CellType(_version()))
     versioned = FunctionType(code, function.__globals__, function.__name__, None, closure)
     update_wrapper(versioned, function)
     del versioned.__wrapped__  # type: ignore[attr-defined]
-    options = {"nogil": True, "error_model": "numpy", **options}
-    try:
-        return numba.njit(cache=True, **options)(versioned)
-    except RuntimeError:  # numba finds no folder that it may write to
-        return numba.njit(**options)(versioned)
+    return versioned
 
 
 @inner
