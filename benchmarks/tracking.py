@@ -1,7 +1,7 @@
 """Tracking: ours, offline and online, beside what people use today, on the same detections.
 
 Every tracker gets boxes and confidences of ``det/det.txt``, no pixels and no truth, one after the
-other in one process: MIXER with configs/mot.yaml, the same online with configs/mot_online.yaml,
+other in one process: MIXER with configs/track.yaml, the same online with configs/mot_online.yaml,
 and SORT, ByteTrack, OC-SORT and norfair at their defaults (peers.py). The oracle gives each
 detection the identity of the true box that it is assigned to at an overlap of 0.5 or more, and
 drops the rest: what association could reach. Truth of flag 0 is dropped. Combined figures are
@@ -38,7 +38,7 @@ from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.tracking import Tracks
 from mixer_torch.tracking.base import BaseTracker
 
-OURS = {"MIXER": "mot", "MIXER online": "mot_online"}
+OURS = {"MIXER": "track", "MIXER online": "mot_online"}
 ORACLE = "oracle"
 METRICS = ("HOTA", "AssA", "DetA", "IDF1", "MOTA", "IDSW", "Frag", "tracks")
 COST = ("frames", "detections", "seconds", "peak_mib")

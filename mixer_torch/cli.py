@@ -1,17 +1,24 @@
-"""The command ``mixer``: associate observations, or take the steps of it one by one."""
+"""The command ``mixer``: associate observations, or take the steps of it one by one.
+
+Each command is a function in ``mixer_torch.commands``. Its signature is what the command accepts,
+its docstring is the help, and the text that it returns is printed.
+"""
 
 from __future__ import annotations
 
 import argparse
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Any, NoReturn
 
 from jsonargparse import ArgumentParser
 
+from mixer_torch import plugins
 from mixer_torch.commands.associate import associate, score, solve
 from mixer_torch.commands.bench import bench
 from mixer_torch.commands.evaluate import evaluate
@@ -31,16 +38,32 @@ COMMANDS: dict[str, Callable[..., str]] = {
 }
 SUMMARIES = {"demo": "Run `associate` on the parking lot that comes with the project."}
 GIVEN = ("config", "progress")
-"""Parameters of commands that are not arguments: :func:`main` fills them in."""
-DEFAULTS = {"demo": "parking_lot.yaml", "track": "mot.yaml"}
-"""What a command takes from where the arguments do not say otherwise, in the folder `configs`."""
+"""Parameters of commands that :func:`main` fills in; they are no options."""
+DEFAULTS = {"demo": "parking_lot.yaml", "track": "track.yaml"}
+"""The file in the folder `configs` that a command starts from."""
 SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
+"""Options that may be given without a value, which then means true."""
 POSITIONAL = ("solve", "evaluate", "bench")
-"""Commands whose required arguments go without a name."""
+"""Commands whose required arguments are given without their names."""
 REPEATED = {"track": ("sequences", "Folders, as they are or inside $MIXER_DATA.")}
-"""The parameter of a command that takes all arguments without a name, and what they are."""
+"""The parameter that takes all arguments which are given without a name, and its help."""
 SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device", "tracker"}
-"""Options that one file may hold for all commands; one that has no use for them lets them by."""
+"""Shared options; commands ignore those that they do not use, so that one file serves them all."""
+UNKNOWN_CLASS = (
+    re.compile(r"Expected a dot import path string: (?P<name>\S+)"),
+    re.compile(r"Problem with given class_path '(?P<name>[^']+)':"),
+)
+"""How jsonargparse says that it finds no class of a name."""
+
+
+class Parser(ArgumentParser):
+    """A parser whose message for an unknown class name lists the names that are near to it."""
+
+    def error(self, message: str, *args: Any, **kwargs: Any) -> NoReturn:
+        for pattern in UNKNOWN_CLASS:
+            if found := pattern.search(message):
+                message = message.replace(found[0], plugins.near(found["name"]))
+        super().error(message, *args, **kwargs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,6 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Set MIXER_TRACEBACK=1 to see where it came from.
     """
     _make_current_folder_importable()
+    plugins.everything()  # makes bare class names known
     parser, parsers = build_parsers()
     arguments = parser.parse_args(_spelled_out(sys.argv[1:] if argv is None else argv))
     name = arguments.subcommand
@@ -78,9 +102,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def build_parsers() -> tuple[ArgumentParser, dict[str, ArgumentParser]]:
+def build_parsers() -> tuple[Parser, dict[str, Parser]]:
     """The parser of ``mixer``, and those of its commands by name."""
-    parser = ArgumentParser(prog="mixer", description=__doc__)
+    parser = Parser(prog="mixer", description=(__doc__ or "").splitlines()[0])
     subcommands = parser.add_subcommands(required=True, metavar="COMMAND")
     parsers = {}
     for name, command in COMMANDS.items():
@@ -90,9 +114,9 @@ def build_parsers() -> tuple[ArgumentParser, dict[str, ArgumentParser]]:
     return parser, parsers
 
 
-def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
+def _command_parser(name: str, command: Callable[..., str]) -> Parser:
     default = resources.files("mixer_torch.configs") / DEFAULTS.get(name, "")
-    parser = ArgumentParser(default_config_files=[str(default)] if name in DEFAULTS else [])
+    parser = Parser(default_config_files=[str(default)] if name in DEFAULTS else [])
     if name == "list":
         return parser
     parser.add_argument("--config", action="config", help="File with any of the options below.")
@@ -113,9 +137,9 @@ def _command_parser(name: str, command: Callable[..., str]) -> ArgumentParser:
 
 
 def _spelled_out(argv: Sequence[str]) -> list[str]:
-    """The arguments with `--ablate`, alone, as `--ablate true`, and the like for every switch.
+    """The arguments with `--ablate` spelled out as `--ablate true`, and so for every switch.
 
-    The result to evaluate goes without a name, and may have its name, `--result`, all the same.
+    `--result FILE` of `mixer evaluate` becomes the argument without a name that it stands for.
     """
     words = []
     for word, following in zip(argv, [*argv[1:], "--"], strict=True):
@@ -128,7 +152,10 @@ def _spelled_out(argv: Sequence[str]) -> list[str]:
 
 
 def _make_current_folder_importable() -> None:
-    """So that `my_scorer.Depth` of a file in the current folder can be named; ours come first."""
+    """Let a configuration name `my_scorer.Depth` of a file in the current folder.
+
+    The folder comes last, so that no file in it hides an installed module.
+    """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
 

@@ -1,4 +1,7 @@
-"""What there is to choose from: scorers, solvers, datasets and the rest, ours and others'."""
+"""The classes that a configuration may name: scorers, solvers, datasets and so on.
+
+Those of this project are found in its modules, those of other packages by their entry points.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import pkgutil
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -21,12 +25,12 @@ from mixer_torch.tracking.base import BaseTracker
 
 @dataclass(frozen=True)
 class Kind:
-    """One extension point.
+    """One extension point: the subclasses of one base class.
 
     Args:
-        name: What its members are called; ``mixer_torch.<name>`` is the group of entry points.
+        name: Its plural, such as ``scorers``; ``mixer_torch.<name>`` is the group of entry points.
         base: The class that members extend.
-        modules: Modules and packages that hold the project's own; packages are searched.
+        modules: Modules and packages that hold the project's own members; packages are searched.
     """
 
     name: str
@@ -34,7 +38,7 @@ class Kind:
     modules: tuple[str, ...]
 
 
-# Named and not imported: mixer_torch imports no scorer.
+# Modules are named here and imported when they are asked for, as mixer_torch imports no scorer.
 KINDS = (
     Kind("scorers", Scorer, ("mixer_torch.scoring", "mixer_torch.scorers")),
     Kind("solvers", Solver, ("mixer_torch.solvers",)),
@@ -48,13 +52,18 @@ KINDS = (
 
 @dataclass(frozen=True)
 class Member:
-    """One thing to choose.
+    """One class that a configuration may name.
 
     Args:
-        class_path: What to write in a configuration; the entry point's value where it is broken.
-        summary: First paragraph of its docstring as plain text, or what went wrong.
-        cls: The class; None where it could not be loaded.
+        class_path: Its shortest import path; the entry point's value where it does not load.
+        summary: First paragraph of its docstring as plain text, or the error with which it fails.
+        cls: The class; None where it does not load.
     """
+
+    @property
+    def name(self) -> str:
+        """The bare class name, which will do in a configuration, too."""
+        return self.class_path.rsplit(".", 1)[-1]
 
     class_path: str
     summary: str
@@ -62,14 +71,14 @@ class Member:
 
 
 def members(kind: Kind, announced: Iterable[EntryPoint] | None = None) -> list[Member]:
-    """All members of a kind, by class path: the project's own and those that packages announce.
+    """All members of a kind in the order of their class paths.
 
-    What does not load is listed with its error.
+    These are the project's own and those that installed packages announce by entry points. A module
+    or an entry point that does not load is listed with its error.
 
     Args:
         kind: One of :data:`KINDS`.
-        announced: Entry points; those of the group ``mixer_torch.<kind>`` that are installed if
-            None.
+        announced: Entry points; if None, the installed ones of the group ``mixer_torch.<kind>``.
     """
     if announced is None:
         announced = entry_points(group=f"mixer_torch.{kind.name}")
@@ -81,6 +90,31 @@ def members(kind: Kind, announced: Iterable[EntryPoint] | None = None) -> list[M
         member = _load(point, kind.base)
         found.setdefault(member.cls or member.class_path, member)
     return sorted(found.values(), key=lambda member: member.class_path)
+
+
+def everything() -> dict[str, list[Member]]:
+    """The members of all kinds, by kind.
+
+    As this imports them, jsonargparse then resolves their bare class names.
+    """
+    return {kind.name: members(kind) for kind in KINDS}
+
+
+def near(name: str) -> str:
+    """What to say of a name in a configuration that is no class which may stand there."""
+    bare = name.rsplit(".", 1)[-1]
+    listed = [(kind, member) for kind, found in everything().items() for member in found]
+    same = [(kind, member) for kind, member in listed if member.name == bare]
+    if broken := [member for _, member in same if member.cls is None]:
+        return f"{name!r} {broken[0].summary}"
+    says = f"{name!r} is not the name of a class that may stand here"
+    if same:
+        says += f"; {same[0][1].class_path} is one of the {same[0][0]}"
+    lowered = {member.name.lower(): member.name for _, member in listed}
+    alike = [lowered[word] for word in get_close_matches(bare.lower(), list(lowered))]
+    if alike and not same:
+        says += f"; did you mean {' or '.join(alike)}?"
+    return f"{says} (`mixer list` shows all; your own need their module: module.Class)"
 
 
 def _in_module(name: str, base: type) -> Iterator[Member]:

@@ -1,4 +1,4 @@
-"""Progress bars on a terminal, and nothing in a log."""
+"""Progress bars, which are drawn on a terminal only, so that logs stay free of them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, TextIO
 class Bars:
     """A :data:`~mixer_torch.scoring.Progress` callback that draws one bar for each stage of work.
 
-    Bars are drawn only where the stream is a terminal, only for stages that take longer than a
-    moment, and are wiped when their stage ends.
+    A bar appears after 0.3 seconds, so that short stages show none, and is removed when its stage
+    ends.
 
     Args:
-        stream: Where to draw; standard error if None.
+        stream: The stream to draw on, if it is a terminal; standard error if None.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -47,7 +47,7 @@ class Bars:
         self._bar.update(done - self._bar.n)
 
     def close(self) -> None:
-        """Wipe the bar that is there."""
+        """Remove the bar of the current stage."""
         if self._bar is not None:
             self._bar.close()
         self._bar = self._stage = None

@@ -1,1 +1,1 @@
-"""What the commands of ``mixer`` do: a signature is a schema, and what it returns is printed."""
+"""What the commands of ``mixer`` do: a signature is a schema, and the text returned is printed."""

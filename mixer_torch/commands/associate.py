@@ -1,4 +1,4 @@
-"""The main job, and its steps one by one: score pairs, solve, write what was found."""
+"""`mixer associate`, and its two steps one by one, `mixer score` and `mixer solve`."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ def associate(
     """Say which observations are of the same object; write tables, metrics and pictures.
 
     Args:
-        dataset: Where the observations come from.
+        dataset: Source of the observations.
         scorers: One for each modality.
-        out: Folder to write to. What an earlier result left there is replaced.
+        out: Folder to write to. An earlier result there is replaced.
         solver: The algorithm.
         pairs: Which pairs to compare.
-        fusion: How the modalities add up.
-        ablate: Solve each modality alone, too, and say how good it is.
+        fusion: How the modalities add up to one cost of a pair.
+        ablate: Solve each modality alone, too, and measure it.
         video: Write tracks.mp4, too: every frame, with its boxes.
         device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
         config: The resolved configuration, to be written beside the result.
-        progress: Told what is done while it goes on.
+        progress: Called with stage, number done and total while the work goes on.
     """
     check_folder(out)
     start = time.perf_counter()
@@ -101,16 +101,16 @@ def score(
     config: str,
     progress: Progress,
 ) -> str:
-    """Compare observations in every modality and keep the scores.
+    """Compare observations in every modality and write the scores to a file.
 
     Args:
-        dataset: Where the observations come from.
+        dataset: Source of the observations.
         scorers: One for each modality.
         out: File to write the affinity to (npz). The resolved configuration goes beside it (yaml).
         pairs: Which pairs to compare.
         device: Where to score: cpu, cuda, or cuda:1 and so on.
         config: The resolved configuration, to be written beside the result.
-        progress: Told what is done while it goes on.
+        progress: Called with stage, number done and total while the work goes on.
     """
     check_suffix("out", out, ".npz")
     affinity = _score(dataset, scorers, pairs, device, progress)[1]
@@ -129,14 +129,14 @@ def solve(
     *,
     config: str,
 ) -> str:
-    """Find the clusters that agree best with scores that were kept.
+    """Find the clusters that agree best with the scores of `mixer score`.
 
     Args:
         affinity: File that `mixer score` wrote (npz).
         out: File to write the association to: npz, or csv for a table of labels. The resolved
-            configuration goes beside it, as yaml. Nothing is written if there is none.
+            configuration goes beside it, as yaml. If null, nothing is written.
         solver: The algorithm.
-        fusion: How the modalities add up.
+        fusion: How the modalities add up to one cost of a pair.
         device: Where to solve: cpu, cuda, or cuda:1 and so on.
         config: The resolved configuration, to be written beside the result.
     """
@@ -183,7 +183,7 @@ def _solve(
 
 
 def _only(fusion: Fusion, modality: str) -> Fusion:
-    """The fusion without the weights of other modalities, which are not there to be weighted."""
+    """The fusion for one modality: weights of others would be refused as unknown names."""
     single = copy.deepcopy(fusion)
     single.weights = {name: weight for name, weight in fusion.weights.items() if name == modality}
     return single
@@ -192,7 +192,7 @@ def _only(fusion: Fusion, modality: str) -> Fusion:
 def _draw(
     folder: Path, result: Result, fusion: Fusion, video: bool, progress: Progress
 ) -> list[str]:
-    """Draw what can be drawn, and say why the rest cannot."""
+    """Draw the pictures that the data allow; returns notes on those that they do not."""
     from mixer_torch import plots
 
     progress("pictures", 0, 3)
@@ -217,7 +217,7 @@ def _draw(
 
 
 def device_named(name: str) -> torch.device:
-    """A device that is here, or a ValueError that names the option."""
+    """The device of that name; a ValueError that names the option if this machine has none."""
     try:
         device = torch.device(name)
         torch.empty(0, device=device)

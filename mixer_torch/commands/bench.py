@@ -1,4 +1,4 @@
-"""Run one of the benchmarks."""
+"""`mixer bench`: run one of the modules in the folder `benchmarks`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ def bench(name: str, out: Path | None = None, quick: bool = False, from_rows: bo
     """Run a benchmark: rows first, then tables and figures, which are made from the rows alone.
 
     Args:
-        name: Which of the modules in the folder `benchmarks`, such as table2.
-        out: Folder to write to; out/benchmarks/NAME if there is none.
-        quick: A small run, to see that it works.
-        from_rows: Run nothing, and make tables and figures from the rows that are there.
+        name: A module of the folder `benchmarks`, such as table2.
+        out: Folder to write to; out/benchmarks/NAME if null.
+        quick: Make a small run, to see that it works.
+        from_rows: Run nothing; make tables and figures from the rows of an earlier run.
     """
     package = import_module("mixer_torch.benchmarks")
     found = sorted(module.name for module in pkgutil.iter_modules(package.__path__))

@@ -1,4 +1,4 @@
-"""Measure a result, ours or someone else's, against the truth."""
+"""`mixer evaluate`: measure a result, ours or someone else's, against the truth."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def evaluate(
             association: associations.csv as `mixer associate` writes it, any CSV with a column
             `label` (and `observation`, the number of the row of the dataset), or npz.
         truth: Of tracks: the folder of a sequence of MOTChallenge, with gt/gt.txt; a folder of
-            such folders; or a file like those of results. What is of classes that are not to be
-            found is left out as on MOTChallenge.
-        dataset: Where the truth comes from if there is no --truth. For an association without
+            such folders; or a file like those of results. Boxes of classes that are not to be
+            found are left out as on MOTChallenge.
+        dataset: Source of the truth if there is no --truth. For an association without
             either it is in the CSV's columns `identity` and `view`.
-        classes: What is to be found, in truth of MOT16 and later, which has classes.
-        min_overlap: Of tracks: intersection over union from which a box is a true one.
-        out: File to write the metrics to (json); only printed if there is none.
+        classes: Classes to find, in truth of MOT16 and later, which has classes.
+        min_overlap: Of tracks: least intersection over union at which a box matches a true one.
+        out: File to write the metrics to (json); if null, they are only printed.
     """
     if out is not None:
         check_suffix("out", out, ".json")
@@ -67,7 +67,7 @@ def evaluate(
 
 
 def _is_association(result: Path) -> bool:
-    """Whether a file has labels, or nothing to make tracks of."""
+    """Whether a file holds labels of observations, or lacks the columns of tracks."""
     if result.suffix == ".npz":
         return True
     if result.suffix != ".csv":
@@ -96,7 +96,7 @@ def _measure_association(result: Path, dataset: Dataset | None) -> dict[str, Any
 
 
 def _labelled(table: Mapping[str, torch.Tensor], m: int) -> Association:
-    """The association of a table whose rows may be in any order."""
+    """The association of a table of labels, whose rows may be in any order."""
     labels = table["label"]
     if len(labels) != m:
         raise ValueError(f"result: expected {m} rows, one an observation, got {len(labels)}")

@@ -1,16 +1,20 @@
-"""What a configuration may name."""
+"""`mixer list`: the classes that a configuration may name."""
 
 from __future__ import annotations
 
-from mixer_torch.plugins import KINDS, members
+from textwrap import indent
+
+from mixer_torch.commands.text import table
+from mixer_torch.plugins import everything
 
 
 def list_members() -> str:
-    """List the scorers, solvers, datasets and the rest that a configuration may name."""
+    """List the scorers, solvers, datasets and other classes that a configuration may name.
+
+    In a configuration the bare class name, such as IoU, will do for all that are listed.
+    """
     blocks = []
-    for kind in KINDS:
-        found = members(kind)
-        width = max((len(member.class_path) for member in found), default=0)
-        rows = [f"  {member.class_path:<{width}}  {member.summary}" for member in found]
-        blocks.append("\n".join([kind.name, *(rows or ["  none"])]))
+    for kind, found in everything().items():
+        rows = [[member.class_path, member.summary] for member in found] or [["none", ""]]
+        blocks.append(f"{kind}\n{indent(table(rows, left=2), '  ')}")
     return "\n\n".join(blocks)

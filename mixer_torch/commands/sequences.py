@@ -1,4 +1,4 @@
-"""Tracks of sequences beside their truth: which file belongs to which, and how good it is."""
+"""Tracks of sequences beside their truth: which file belongs to which, and the metrics."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mixer_torch.commands.text import table
 from mixer_torch.datasets.base import Dataset, find
 from mixer_torch.datasets.motchallenge import MOTChallenge
 from mixer_torch.io.motchallenge import read_seqinfo
@@ -19,7 +20,7 @@ from mixer_torch.tracks import Tracks
 
 TRUTH_FILE = Path("gt", "gt.txt")
 OWN_FILE = "tracks.txt"
-"""What ``mixer associate`` calls the tracks in its folder."""
+"""The file of tracks in a folder that ``mixer associate`` wrote."""
 COLUMNS = {
     "HOTA": "HOTA",
     "AssA": "AssA",
@@ -32,7 +33,7 @@ COLUMNS = {
     "pairwise_f1": "pairwise F1",
     "bcubed_f1": "B-cubed F1",
 }
-"""What is shown of the metrics, and under which title."""
+"""The metrics in the table, and the titles of their columns."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class Truth:
     """The truth of one sequence.
 
     Args:
-        tracks: What is to be found.
-        cleaned: What of a result counts.
-        length: How many frames the sequence has; None where that is not known.
+        tracks: The true tracks.
+        cleaned: Takes a result, and leaves out the boxes that do not count (distractors).
+        length: Number of frames of the sequence; None where it is not known.
     """
 
     tracks: Tracks
@@ -60,11 +61,11 @@ def measure_tracks(
     """The metrics of result files, as :func:`evaluate_sequences` returns them.
 
     Args:
-        result: A file of tracks, or a folder of such.
-        truth: The folder of a sequence, a folder of such folders, or a file.
-        dataset: Where the truth comes from if there is no truth.
-        classes: What is to be found, in truth that has classes.
-        min_overlap: Intersection over union from which a box is a true one.
+        result: A file of tracks, or a folder of such files.
+        truth: The folder of a sequence, a folder of such folders, or a file of true tracks.
+        dataset: Source of the truth if ``truth`` is None.
+        classes: Classes that are to be found, where the truth has classes.
+        min_overlap: Least intersection over union at which a box matches a true one.
 
     Raises:
         FileNotFoundError: A result or a truth is missing; the message names it.
@@ -97,18 +98,14 @@ def tracks_table(metrics: Mapping[str, Any]) -> str:
     rows = dict(metrics["sequences"])
     if len(rows) > 1:
         rows["combined"] = metrics["combined"]
-    width = max(len(name) for name in [*rows, "sequence"])
-    lines = [f"{'sequence':<{width}}"]
-    lines += [f"{name:<{width}}" for name in rows]
-    for key, title in COLUMNS.items():
-        values = [row[key] for row in rows.values()]
-        cells = [f"{v:,d}" if isinstance(v, int) else f"{v:.1f}" for v in values]
-        column = max(len(cell) for cell in [title, *cells])
-        lines = [
-            f"{line}  {cell:>{column}}" for line, cell in zip(lines, [title, *cells], strict=True)
-        ]
+    cells = [[name, *(_cell(row[key]) for key in COLUMNS)] for name, row in rows.items()]
     note = "in percent; pairwise and B-cubed over the boxes that are matched to the truth"
-    return "\n".join([*lines, "", note])
+    return "\n".join([table(cells, ["sequence", *COLUMNS.values()]), "", note])
+
+
+def _cell(value: float) -> str:
+    """Counts as they are, percentages with one digit."""
+    return f"{value:,d}" if isinstance(value, int) else f"{value:.1f}"
 
 
 def _is_folder_of_sequences(path: Path) -> bool:

@@ -1,12 +1,13 @@
-"""How results read on a terminal."""
+"""The text that commands print."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from tabulate import tabulate
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association
@@ -19,8 +20,25 @@ def check_suffix(name: str, path: Path, *suffixes: str) -> None:
         raise ValueError(f"{name}: expected a file name in {' or '.join(suffixes)}, got {path}")
 
 
+def table(
+    rows: Sequence[Sequence[str]], titles: Sequence[str] = (), left: int = 1, last: bool = False
+) -> str:
+    """A plain table; cells are shown as they are.
+
+    Args:
+        rows: Cells, row by row, at least one row.
+        titles: Of the columns; none if empty.
+        left: How many of the first columns are aligned to the left; others are to the right.
+        last: Whether the last column is aligned to the left, too.
+    """
+    count = len(rows[0])
+    sides = ["left" if k < left or (last and k == count - 1) else "right" for k in range(count)]
+    text = tabulate(rows, titles, tablefmt="plain", disable_numparse=True, colalign=sides)
+    return "\n".join(line.rstrip() for line in text.splitlines())
+
+
 def size(affinity: Affinity) -> str:
-    """How much was compared."""
+    """Numbers of observations, views and pairs, and the names of the modalities."""
     views = len(torch.unique(affinity.view[affinity.view >= 0]))
     where = f"in {views:,} {'view' if views == 1 else 'views'}" if views else "of no view"
     modalities = ", ".join(affinity.modalities)
@@ -29,52 +47,43 @@ def size(affinity: Affinity) -> str:
 
 
 def clusters(association: Association) -> str:
-    """How many clusters were found, or links where there are none."""
+    """The number of clusters, or of links where the solver gives no clusters."""
     if association.num_clusters is None:
         return f"{association.links.shape[1]:,} links"
     return f"{association.num_clusters:,} clusters"
 
 
 def status(association: Association) -> list[str]:
-    """What was reached, and what happened."""
+    """The objective, with its gap to a proven bound if there is one, and why the solver ended."""
     bound = "" if association.gap is None else f" (gap {association.gap:.2%})"
     return [f"objective {association.objective:.6g}{bound}", f"status: {association.status.value}"]
 
 
 def result_table(result: Result) -> str:
-    """How good, or how many clusters, in each modality alone and in all together."""
+    """Metrics of each modality alone and of all, or numbers of clusters where there is no truth."""
     metrics = result.metrics()
     if metrics is not None:
         gallery = ("bcubed_f1", "rank1", "map") if "map" in metrics["all"] else ()
         return metrics_table(metrics, ("precision", "recall", "f1", *gallery))
-    rows = [*result.alone.items(), ("all", result.association)]
-    width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {clusters(association)}" for name, association in rows)
+    found = {**result.alone, "all": result.association}
+    return table([[name, clusters(association)] for name, association in found.items()], left=2)
 
 
 def metrics_table(metrics: Mapping[str, Any], columns: tuple[str, ...]) -> str:
-    """Rows of metrics, the single modalities first, and the true number of clusters at the end."""
-    rows = {**metrics.get("alone", {}), "all": metrics["all"]}
+    """One row for each modality alone, one for all, and the true number of clusters in the last."""
     shown = [name for name in columns if name in metrics["all"]]
-    titles = [("F1" if name == "f1" else name.replace("_", " ")) for name in shown]
-    width = max(len(name) for name in [*rows, "truth"])
-    widths = [max(len(title), 9) for title in titles]
-    lines = [
-        " " * width
-        + "".join(f"  {t:>{w}}" for t, w in zip(titles, widths, strict=True))
-        + "  clusters"
+    titles = ["F1" if name == "f1" else name.replace("_", " ") for name in shown]
+    rows = [
+        [name, *(f"{row[column]:.3f}" for column in shown), str(row.get("clusters", "-"))]
+        for name, row in {**metrics.get("alone", {}), "all": metrics["all"]}.items()
     ]
-    for name, row in rows.items():
-        cells = "".join(f"  {row[c]:>{w}.3f}" for c, w in zip(shown, widths, strict=True))
-        lines.append(f"{name:<{width}}{cells}  {row.get('clusters', '-'):>8}")
     if "objects" in metrics["all"]:
-        blank = "".join(" " * (w + 2) for w in widths)
-        lines.append(f"{'truth':<{width}}{blank}  {metrics['all']['objects']:>8}")
-    return "\n".join(lines)
+        rows.append(["truth", *([""] * len(shown)), str(metrics["all"]["objects"])])
+    return table(rows, ["", *titles, "clusters"])
 
 
 def listing(out: Path, written: list[str]) -> list[str]:
-    """What was written, each picture on a line of its own."""
+    """The files that were written, each picture on a line of its own."""
     pictures = [name for name in written if name.endswith((".png", ".mp4"))]
     others = [name for name in written if name not in pictures]
     return [

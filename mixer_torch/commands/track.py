@@ -1,4 +1,4 @@
-"""Track whole sequences: detections in, who was where out."""
+"""`mixer track`: from the detections of whole sequences to files of tracks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import torch
 
 from mixer_torch.association import Association
 from mixer_torch.commands.associate import device_named
-from mixer_torch.commands.text import listing
+from mixer_torch.commands.text import listing, table
 from mixer_torch.datasets.base import find
 from mixer_torch.datasets.motchallenge import MOTChallenge
 from mixer_torch.io.frames import NumberedFrames
@@ -27,10 +27,10 @@ from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracks import Tracks
 
 FRAME_RATE = 30.0
-"""Frames per second where nobody says."""
+"""Frames per second, by convention, where neither seqinfo.ini nor an option says it."""
 SUFFIX = {"mot": ".txt", "coco": ".json", "csv": ".csv", "parquet": ".parquet"}
 METRICS = {"HOTA": "HOTA", "AssA": "AssA", "IDF1": "IDF1", "IDSW": "switches"}
-"""What is shown of the metrics, and under which title."""
+"""The metrics in the table, and the titles of their columns."""
 
 
 def track(
@@ -52,48 +52,42 @@ def track(
     config: str,
     progress: Progress,
 ) -> str:
-    """Follow objects through whole sequences, and say how well where the truth is there.
+    """Follow objects through whole sequences, and measure the tracks where there is truth.
 
-    A sequence is a folder in the layout of MOTChallenge, of which det/det.txt is all that is
-    needed. The truth, gt/gt.txt, is read for the metrics alone.
+    A sequence is a folder in the layout of MOTChallenge; det/det.txt is enough. The truth,
+    gt/gt.txt, is read for the metrics alone: the tracker does not see it.
 
     Args:
         sequences: Folders, as they are or inside $MIXER_DATA.
-        tracker: How to track; what is not said is as in configs/mot.yaml.
+        tracker: The tracker; options that are not given are those of configs/track.yaml.
         out: Folder to write to: SEQUENCE.txt for each, named after its folder, and config.yaml.
         start: First frame; from the beginning if null.
         stop: Last frame, included; to the end if null.
-        step: From one frame to the next.
-        min_confidence: Leave out detections whose score is under this.
-        classes: What to find, for the metrics, where the truth has classes; 1 is pedestrians.
+        step: Take every step-th frame.
+        min_confidence: Leave out detections whose score is lower.
+        classes: Classes to find, for the metrics, where the truth has classes; 1 is pedestrians.
         pixels: Whether the tracker sees images; if null, where every frame with detections has one.
         frame_rate: Frames per second where there is no seqinfo.ini to say it; 30 if null.
-        repair: Leave out useless lines of det.txt, and say so; if false, they are errors.
+        repair: Leave out malformed lines of det.txt, with a note; if false, they are errors.
         format: Of the results: mot (txt, as MOTChallenge has it), coco (json), csv or parquet.
         video: Write SEQUENCE.mp4, too, where there are frames.
         device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
         config: The resolved configuration, to be written beside the results.
-        progress: Told what is done while it goes on.
+        progress: Called with stage, number done and total while the work goes on.
     """
     if tracker is None:
-        raise ValueError("tracker: expected one, got none; say --config configs/mot.yaml")
+        raise ValueError("tracker: expected one, got none; say --config configs/track.yaml")
     place = device_named(device)
     folders = _by_name(sequences)
     check_folder(out)
     options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
-    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair}
-    options |= {"spread": True}
+    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair, "spread": True}
     jobs = [_read(name, folder, options, video) for name, folder in folders.items()]
     truths, unreadable = _truths(jobs, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")
     outcomes = _track_all(jobs, tracker.to(place), place, out, SUFFIX[format], progress)
-    metrics, missing = _measure(outcomes, truths)
-    notes = [note for job in jobs for note in job.notes] + unreadable + missing
-    notes += _latencies(outcomes)
-    written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
-    table = _table(jobs, outcomes, metrics)
-    return "\n".join([table, "", *(f"note: {note}" for note in notes), *listing(out, written)])
+    return _report(jobs, outcomes, truths, unreadable, out)
 
 
 @dataclass(frozen=True)
@@ -101,11 +95,11 @@ class Job:
     """One sequence to track.
 
     Args:
-        name: Its folder's.
-        dataset: Where it comes from.
-        observations: What was detected, without the truth.
-        frames: What to make a video of; None for no video.
-        notes: What is to be said of how it was read.
+        name: The name of its folder.
+        dataset: Its folder as a dataset.
+        observations: The detections, without the truth.
+        frames: Frames for a video; None for no video.
+        notes: Remarks for the user on how it was read.
     """
 
     name: str
@@ -116,7 +110,7 @@ class Job:
 
     @property
     def length(self) -> int:
-        """How many frames were looked at, with detections or without."""
+        """Number of frames that were chosen, those without detections included."""
         last = int(self.observations["frame"].max()) if len(self.observations) else 0
         last = max(last, self.dataset.info().length or 0)
         return int(self.dataset.chosen(np.arange(1, last + 1)).sum())
@@ -124,13 +118,13 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What tracking gave.
+    """The result for one sequence.
 
     Args:
-        tracks: Who was where.
-        association: What they were made from.
-        seconds: How long it took, with scoring, without reading and writing.
-        files: Names of what was written.
+        tracks: The tracks, after post-processing.
+        association: The clusters of detections that they were made from.
+        seconds: Time for scoring, solving and post-processing, without reading and writing.
+        files: Names of the files that were written.
     """
 
     tracks: Tracks
@@ -140,7 +134,7 @@ class Outcome:
 
 
 def _by_name(sequences: Sequence[Path]) -> dict[str, Path]:
-    """The folders by their names, which are those of the results."""
+    """The folders by their names, after which the results are called."""
     folders: dict[str, Path] = {}
     for sequence in sequences:
         folder = find(sequence)
@@ -174,7 +168,7 @@ def _read(name: str, folder: Path, options: dict[str, Any], video: bool) -> Job:
 def _truths(
     jobs: Sequence[Job], classes: Sequence[int]
 ) -> tuple[dict[str, tuple[MotTruth, Tracks]], list[str]]:
-    """The truth of each sequence that has it, and what of it is in the frames chosen."""
+    """The truth of each sequence that has one, and its part in the frames chosen; and notes."""
     truths, notes = {}, []
     for job in jobs:
         file = job.dataset.folder / "gt" / "gt.txt"
@@ -198,7 +192,7 @@ def _track_all(
     suffix: str,
     progress: Progress,
 ) -> dict[str, Outcome]:
-    """Track one sequence after the other; who interrupts is told which are finished."""
+    """Track one sequence after the other. On an interrupt, say which ones are finished."""
     outcomes: dict[str, Outcome] = {}
     try:
         for job in jobs:
@@ -247,10 +241,31 @@ def _write_video(path: Path, job: Job, tracks: Tracks, progress: Progress) -> No
         partial.unlink(missing_ok=True)
 
 
+def _report(
+    jobs: Sequence[Job],
+    outcomes: Mapping[str, Outcome],
+    truths: Mapping[str, tuple[MotTruth, Tracks]],
+    notes: Sequence[str],
+    out: Path,
+) -> str:
+    """The table of all sequences, notes, and the files that were written."""
+    metrics, missing = _measure(outcomes, truths)
+    notes = [*(note for job in jobs for note in job.notes), *notes, *missing, *_latencies(outcomes)]
+    written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
+    return "\n".join(
+        [
+            _table(jobs, outcomes, metrics),
+            "",
+            *(f"note: {note}" for note in notes),
+            *listing(out, written),
+        ]
+    )
+
+
 def _measure(
     outcomes: Mapping[str, Outcome], truths: Mapping[str, tuple[MotTruth, Tracks]]
 ) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
-    """The metrics of each sequence that has truth and, as "", of these together; notes."""
+    """The metrics of each sequence that has truth, those of all together as "", and notes."""
     if not truths:
         return {}, []
     results = {
@@ -265,7 +280,7 @@ def _measure(
 
 
 def _latencies(outcomes: Mapping[str, Outcome]) -> list[str]:
-    """How long after each frame a tracker that works online had its answer."""
+    """Time from a frame to its answer, for trackers that work online."""
     notes = []
     for name, outcome in outcomes.items():
         seconds = outcome.association.stats.get("latency", ())
@@ -281,7 +296,7 @@ def _latencies(outcomes: Mapping[str, Outcome]) -> list[str]:
 def _table(
     jobs: Sequence[Job], outcomes: Mapping[str, Outcome], metrics: Mapping[str, Mapping[str, Any]]
 ) -> str:
-    """One line a sequence, and one for all where there are several."""
+    """One line for each sequence, and one for all where there are several."""
     titles = ["sequence", "frames", "detections", "tracks", "seconds", "frames/s"]
     titles += [*(METRICS.values() if metrics else ()), "status"]
     rows, sums = [], np.zeros(4)
@@ -294,23 +309,18 @@ def _table(
         rows.append([job.name, *cells, outcome.association.status.value])
     if len(jobs) > 1:
         rows.append(["all", *_cells(sums), *_measured(metrics, ""), ""])
-    widths = [max(len(row[k]) for row in [titles, *rows]) for k in range(len(titles))]
-    lines = []
-    for row in [titles, *rows]:
-        middle = (f"{c:>{w}}" for c, w in zip(row[1:-1], widths[1:-1], strict=True))
-        lines.append("  ".join([f"{row[0]:<{widths[0]}}", *middle, row[-1]]).rstrip())
-    return "\n".join(lines)
+    return table(rows, titles, last=True)
 
 
 def _cells(counts: np.ndarray) -> list[str]:
-    """Frames, detections, tracks, seconds; and frames per second."""
+    """The numbers of frames, detections and tracks, seconds, and frames per second."""
     *numbers, seconds = counts
     rate = counts[0] / max(seconds, 1e-9)
     return [*(f"{number:,.0f}" for number in numbers), f"{seconds:.1f}", f"{rate:,.1f}"]
 
 
 def _measured(metrics: Mapping[str, Mapping[str, Any]], name: str) -> list[str]:
-    """What is shown of the metrics of one sequence, dashes where it has no truth."""
+    """The cells of the metrics of one sequence, dashes where it has no truth."""
     if not metrics:
         return []
     values = [metrics.get(name, {}).get(key) for key in METRICS]

@@ -68,7 +68,7 @@ class Tracker(BaseTracker):
     and does the same with their ends and mean looks, over the gaps in turn; tracklets that overlap
     in time are never joined.
 
-    The defaults are fitted to people on foot, see ``configs/mot.yaml``.
+    The defaults are fitted to people on foot, see ``configs/track.yaml``.
 
     Args:
         scorers: How boxes are compared, one for each modality.

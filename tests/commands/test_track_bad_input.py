@@ -66,7 +66,7 @@ def test_without_a_tracker_there_is_none_to_run(track):
     Path("none.yaml").write_text("tracker: null\n")
     code, _, err = track("walk", config="none.yaml")
     assert code == 2
-    assert "configs/mot.yaml" in err
+    assert "configs/track.yaml" in err
 
 
 def result_of(track, rows, **other):

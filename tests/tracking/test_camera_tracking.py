@@ -20,8 +20,8 @@ WIDTH, HEIGHT, RATE = 320, 240, 20.0
 
 
 def tracker(**settings):
-    """The tracker of configs/mot.yaml."""
-    text = (resources.files("mixer_torch.configs") / "mot.yaml").read_text()
+    """The tracker of configs/track.yaml."""
+    text = (resources.files("mixer_torch.configs") / "track.yaml").read_text()
     config = yaml.safe_load(text)["tracker"]["init_args"]
     ours = {
         name: [Motion(**item.get("init_args", {})) for item in config[name]]
