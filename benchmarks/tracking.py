@@ -1,10 +1,11 @@
 """Tracking: ours, offline and online, beside what people use today, on the same detections.
 
 Every tracker gets boxes and confidences of ``det/det.txt``, no pixels and no truth, one after the
-other in one process: MIXER with configs/track.yaml, the same online with configs/mot_online.yaml,
-and SORT, ByteTrack, OC-SORT and norfair at their defaults (peers.py). The oracle gives each
-detection the identity of the true box that it is assigned to at an overlap of 0.5 or more, and
-drops the rest: what association could reach. Truth of flag 0 is dropped. Combined figures are
+other in one process: MIXER with configs/track.yaml, the same online with
+benchmarks/configs/tracking/online.yaml, and SORT, ByteTrack, OC-SORT and norfair at their defaults
+(peers.py). The oracle gives each detection the identity of the true box that it is assigned to at
+an overlap of 0.5 or more, and drops the rest: what association could reach. Truth of flag 0 is
+dropped. Combined figures are
 MOTChallenge's: boxes, matches and errors are added up over sequences before ratios are taken.
 
 Sequences are those in mot15 of the folder $MIXER_DATA, or the folders named:
@@ -35,10 +36,17 @@ from mixer_torch.datasets import Crowd, MOTChallenge
 from mixer_torch.datasets.base import find
 from mixer_torch.io.mot_tracks import read_mot_truth
 from mixer_torch.metrics.tracking import evaluate_sequences
+from mixer_torch.plugins import everything
 from mixer_torch.tracking import Tracks
 from mixer_torch.tracking.base import BaseTracker
 
-OURS = {"MIXER": "track", "MIXER online": "mot_online"}
+OURS = {
+    "MIXER": resources.files("mixer_torch.configs") / "track.yaml",
+    "MIXER online": resources.files("mixer_torch.benchmarks")
+    / "configs"
+    / "tracking"
+    / "online.yaml",
+}
 ORACLE = "oracle"
 METRICS = ("HOTA", "AssA", "DetA", "IDF1", "MOTA", "IDSW", "Frag", "tracks")
 COST = ("frames", "detections", "seconds", "peak_mib")
@@ -52,7 +60,8 @@ PEOPLE = 55  # on the ground: about 50 detections a frame, 3 of them clutter
 
 def ours(config):
     """A tracker of the project as its configuration has it."""
-    text = (resources.files("mixer_torch.configs") / f"{config}.yaml").read_text()
+    everything()  # makes bare class names known
+    text = config.read_text()
     parser = ArgumentParser(exit_on_error=False)
     parser.add_subclass_arguments(BaseTracker, "tracker")
     chosen = {"tracker": yaml.safe_load(text)["tracker"]}

@@ -1,13 +1,17 @@
-"""mixer-torch: who is who, when objects were seen in many views and compared in many ways.
+"""mixer-torch: multimodal, multiway data association.
 
-Observations are scored in pairs by scorers, one for each modality; a solver turns the scores into
+Scorers compare pairs of observations, one scorer for each modality. A solver turns the scores into
 clusters that are cycle consistent, one-to-one and distinct within each view:
 
     import mixer_torch as mx
 
     affinity = mx.score(observations, scorers)
     association = mx.solve(affinity, mx.Mixer())
+
+Importing this package imports torch, NumPy and SciPy; what else is needed is imported on use.
 """
+
+from importlib.metadata import PackageNotFoundError, version
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
@@ -28,6 +32,11 @@ from mixer_torch.solvers.problem import Solver
 from mixer_torch.solvers.quickmatch import QuickMatch
 from mixer_torch.solvers.spectral import Spectral
 from mixer_torch.solvers.threshold import AllPairs, Consecutive
+
+try:
+    __version__ = version("mixer-torch")
+except PackageNotFoundError:  # used from a folder, without being installed
+    __version__ = "0+unknown"
 
 __all__ = [
     "Affinity",
@@ -61,6 +70,7 @@ __all__ = [
     "Status",
     "VideoFrames",
     "Within",
+    "__version__",
     "associate",
     "score",
     "solve",

@@ -12,18 +12,19 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, NoReturn
 
 from jsonargparse import ArgumentParser
 
-from mixer_torch import plugins
 from mixer_torch.commands.associate import associate, score, solve
 from mixer_torch.commands.bench import bench
 from mixer_torch.commands.evaluate import evaluate
 from mixer_torch.commands.members import list_members
 from mixer_torch.commands.track import track
+from mixer_torch.extras import require
+from mixer_torch.plugins import everything, near
 from mixer_torch.progress import Bars
 
 COMMANDS: dict[str, Callable[..., str]] = {
@@ -62,7 +63,7 @@ class Parser(ArgumentParser):
     def error(self, message: str, *args: Any, **kwargs: Any) -> NoReturn:
         for pattern in UNKNOWN_CLASS:
             if found := pattern.search(message):
-                message = message.replace(found[0], plugins.near(found["name"]))
+                message = message.replace(found[0], near(found["name"]))
         super().error(message, *args, **kwargs)
 
 
@@ -77,7 +78,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         Set MIXER_TRACEBACK=1 to see where it came from.
     """
     _make_current_folder_importable()
-    plugins.everything()  # makes bare class names known
     parser, parsers = build_parsers()
     arguments = parser.parse_args(_spelled_out(sys.argv[1:] if argv is None else argv))
     name = arguments.subcommand
@@ -102,8 +102,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+def train(argv: Sequence[str] | None = None) -> int:
+    """Run ``mixer-train``, or say which extra it needs; the arguments are as for :func:`main`."""
+    try:
+        require("lightning", extra="train")
+        require("pytorch_metric_learning", extra="train")
+    except ImportError as error:
+        print(f"mixer-train: error: {error}", file=sys.stderr)
+        return 2
+    run: Callable[..., int] = import_module("mixer_torch.train.cli").main
+    return run(argv)
+
+
 def build_parsers() -> tuple[Parser, dict[str, Parser]]:
     """The parser of ``mixer``, and those of its commands by name."""
+    everything()  # makes bare class names known to them
     parser = Parser(prog="mixer", description=(__doc__ or "").splitlines()[0])
     subcommands = parser.add_subcommands(required=True, metavar="COMMAND")
     parsers = {}

@@ -2,7 +2,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from mixer_torch.plugins import KINDS, members
+from mixer_torch.plugins import KINDS, members, near
 from mixer_torch.scoring import Scorer
 
 BY_NAME = {kind.name: kind for kind in KINDS}
@@ -80,3 +80,24 @@ def test_what_does_not_load_is_listed_with_its_error(announced, value, reason):
     assert "does not load" in broken.summary
     assert reason in broken.summary
     assert "mixer_torch.scorers.IoU" in found
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Mixr", "did you mean Mixer?"),
+        ("mixer_torch.scorers.Proximty", "did you mean Proximity?"),
+        ("iou", "did you mean IoU?"),
+        ("Proximity", "mixer_torch.scorers.Proximity is one of the scorers"),
+        ("Xyzzy", "`mixer list` shows all"),
+    ],
+)
+def test_what_is_near_to_a_name_that_will_not_do(name, said):
+    assert near(name).startswith(f"'{name}' is not the name of a class that may stand here")
+    assert said in near(name)
+
+
+def test_an_announced_class_that_does_not_load_says_why(announced, monkeypatch):
+    points = [announced("no_such_module:Depth")]
+    monkeypatch.setattr("mixer_torch.plugins.entry_points", lambda group: points)
+    assert near("Depth").startswith("'Depth' does not load: ModuleNotFoundError: No module named")

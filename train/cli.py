@@ -16,6 +16,8 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.cli import ArgsType, LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger
 
+from mixer_torch.plugins import everything
+
 
 class TrainCLI(LightningCLI):
     """LightningCLI with one folder for all that a run writes.
@@ -107,6 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
+    everything()  # makes bare class names known to the parser
     arguments: ArgsType = None if argv is None else list(argv)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")

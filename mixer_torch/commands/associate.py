@@ -20,10 +20,15 @@ from mixer_torch.commands.text import (
     status,
 )
 from mixer_torch.datasets.base import Dataset
+from mixer_torch.extras import require
 from mixer_torch.fusion import Fusion, LinearFusion
 from mixer_torch.io.results import Result, check_folder, staged, write_associations, write_tables
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every, PairSelector
+from mixer_torch.plots.affinity import affinity_figure
+from mixer_torch.plots.clusters import clusters_figure
+from mixer_torch.plots.frames import frames_figure, write_video
+from mixer_torch.plots.style import save
 from mixer_torch.scoring import Progress, Scorer
 from mixer_torch.scoring import score as score_pairs
 from mixer_torch.solvers.base import solve as solve_affinity
@@ -193,26 +198,28 @@ def _draw(
     folder: Path, result: Result, fusion: Fusion, video: bool, progress: Progress
 ) -> list[str]:
     """Draw the pictures that the data allow; returns notes on those that they do not."""
-    from mixer_torch import plots
-
+    try:
+        require("matplotlib", extra="plots")
+    except ImportError as error:
+        return [f"no pictures: {error}"]
     progress("pictures", 0, 3)
     association, observations = result.association, result.observations
     with torch.no_grad():
-        figure = plots.affinity_figure(result.affinity, association, result.identity, fusion)
-    plots.save(figure, folder / "affinity.png")
+        figure = affinity_figure(result.affinity, association, result.identity, fusion)
+    save(figure, folder / "affinity.png")
     progress("pictures", 1, 3)
     if observations.images is None:
         return ["no pictures of crops and frames: the dataset has no images"]
     if association.labels is None:
         return ["no pictures of crops and frames: the solver gave links and no clusters"]
-    figure = plots.clusters_figure(observations, association.labels)
-    plots.save(figure, folder / "clusters.png")
+    figure = clusters_figure(observations, association.labels)
+    save(figure, folder / "clusters.png")
     progress("pictures", 2, 3)
     if observations.images.box is None:
         return ["no picture of frames: each image is one observation"]
-    plots.save(plots.frames_figure(observations, association.labels), folder / "frames.png")
+    save(frames_figure(observations, association.labels), folder / "frames.png")
     if video:
-        plots.write_video(folder / "tracks.mp4", observations, association.labels, progress)
+        write_video(folder / "tracks.mp4", observations, association.labels, progress)
     return []
 
 

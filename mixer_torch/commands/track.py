@@ -22,6 +22,7 @@ from mixer_torch.io.results import check_folder
 from mixer_torch.io.tracks import MotTruth, read_mot_truth, write_tracks
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.observations import Observations
+from mixer_torch.plots.video import write_track_video
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracks import Tracks
@@ -230,8 +231,6 @@ def _track(
 
 
 def _write_video(path: Path, job: Job, tracks: Tracks, progress: Progress) -> None:
-    from mixer_torch.plots import write_track_video
-
     partial = path.with_name(f".{job.name}.partial.mp4")
     try:
         rate = job.dataset.info().frame_rate

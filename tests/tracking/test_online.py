@@ -289,8 +289,11 @@ def test_pixels_are_read_once_and_held_while_they_are_of_use():
 
 def test_configurations_differ_in_the_solver_alone():
     read = [
-        yaml.safe_load((resources.files("mixer_torch.configs") / name).read_text())["tracker"]
-        for name in ("track.yaml", "mot_online.yaml")
+        yaml.safe_load(path.read_text())["tracker"]
+        for path in (
+            resources.files("mixer_torch.configs") / "track.yaml",
+            resources.files("mixer_torch.benchmarks") / "configs" / "tracking" / "online.yaml",
+        )
     ]
     inner = read[1]["init_args"]["tracker"]
     assert inner["init_args"].pop("solver")["class_path"].endswith("LocalSearch")
