@@ -4,8 +4,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-# trackeval asks for the OpenCV with windows, which would overwrite the one without: it uses neither.
-TRACKEVAL := $(INSTALL) --no-deps trackeval pycocotools tabulate
+# Tests compare our metrics of tracking with those of trackeval. It asks for opencv-python, which would
+# overwrite opencv-python-headless, and uses neither; so it is installed without what it asks for.
+TRACKEVAL := $(INSTALL) --no-deps trackeval pycocotools
 
 .PHONY: demo test lint gpu peers clean
 
@@ -20,15 +21,15 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# What needs a GPU: the tests marked so, and the rows of benchmarks/scaling.py. It fetches nothing;
-# with another Python than that of `make test`: make gpu BIN=FOLDER_OF_THAT_PYTHON.
+# What needs a GPU: the tests marked so, and the rows of benchmarks/scaling.py. Nothing is downloaded.
+# With another Python than that of `make test`: make gpu BIN=FOLDER_OF_THAT_PYTHON.
 gpu:
 	$(BIN)/python -c 'import mixer_torch.benchmarks' 2>/dev/null \
 		|| $(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e ".[all]"
 	$(BIN)/python -m pytest -n0 -m cuda
 	$(BIN)/python -m mixer_torch.benchmarks.scaling --device cuda --out out/benchmarks/scaling_gpu
 
-# The trackers that benchmarks/tracking.py compares with; they, too, ask for the other OpenCV.
+# The trackers that benchmarks/tracking.py compares with; some of them ask for opencv-python, too.
 peers: .venv/installed
 	$(INSTALL) --no-deps -r benchmarks/peers.txt
 
@@ -38,7 +39,6 @@ peers: .venv/installed
 
 .venv/installed: pyproject.toml constraints.txt | .venv/bin/python
 	$(INSTALL) -e ".[all]"
-	$(TRACKEVAL)
 	@touch $@
 
 .venv/installed-dev: pyproject.toml constraints.txt | .venv/bin/python
