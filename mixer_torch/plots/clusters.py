@@ -8,20 +8,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
+from mixer_torch.extras import require
 from mixer_torch.observations import Images, Observations
-from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, groups, wrong_by_truth
+from mixer_torch.plots.style import (
+    FADED,
+    INK,
+    WRONG,
+    blank_figure,
+    colors,
+    groups,
+    new_figure,
+    wrong_by_truth,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 100
-LABEL = 126
-"""Pixels left of a cluster's crops, for its number and size."""
-TAIL = 48
-"""Pixels right of them, for how many are not shown."""
-GAP = 6
-FRAME = 3
-HEAD = 40
+LABEL, TAIL = 126, 48
+"""Pixels left of a cluster's crops, for its number and size; right of them, for how many are not
+shown."""
+GAP, FRAME, HEAD = 6, 3, 40
+"""Pixels between crops, of the frame around a crop, and above all lines, for the caption."""
 
 
 @dataclass
@@ -175,8 +183,7 @@ def _that_fit(members: np.ndarray, sizes: np.ndarray, room: int) -> np.ndarray:
 
 def _crops(images: Images, chosen: np.ndarray, height: int) -> dict[int, np.ndarray]:
     """Crops by observation, as large as their tiles; each frame is decoded once."""
-    import cv2
-
+    cv2 = require("cv2", extra="vision")
     crops = {}
     for k, crop in images.select(chosen).crops():
         scale = min(height / crop.shape[0], 2 * height / crop.shape[1])
@@ -207,10 +214,8 @@ def _caption(strips: list[Strip], shown: list[Strip], wrong: np.ndarray) -> str:
 
 
 def _figure(canvas: np.ndarray, texts: list[tuple]) -> Figure:
-    from matplotlib.figure import Figure
-
     height, width = canvas.shape[:2]
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+    figure = new_figure(width / DPI, height / DPI, DPI)
     axis = figure.add_axes((0, 0, 1, 1))
     axis.set_axis_off()
     axis.imshow(canvas, interpolation="nearest", aspect="auto", extent=(0, width, height, 0))

@@ -11,7 +11,15 @@ from torch import Tensor
 
 from mixer_torch.io.frames import NumberedFrames
 from mixer_torch.observations import Images, Observations
-from mixer_torch.plots.style import FADED, INK, WRONG, blank_figure, colors, wrong_by_truth
+from mixer_torch.plots.style import (
+    FADED,
+    INK,
+    WRONG,
+    blank_figure,
+    colors,
+    new_figure,
+    wrong_by_truth,
+)
 from mixer_torch.plots.video import Drawing, write_drawn
 from mixer_torch.scoring import Progress
 
@@ -58,13 +66,11 @@ def frames_figure(
 
 def _grid(count: int, columns: int, aspect: float) -> tuple[Figure, list[Axes]]:
     """Axes in rows, of one aspect (height / width), with room for titles."""
-    from matplotlib.figure import Figure
-
     gap, title, head = 0.1, 0.26, 0.32
     cell = (COLUMN_INCHES + gap, COLUMN_INCHES * aspect + title)
     width = columns * cell[0] + gap
     height = -(-count // columns) * cell[1] + head + gap
-    figure = Figure(figsize=(width, height), dpi=DPI)
+    figure = new_figure(width, height, DPI)
     axes = []
     for k in range(count):
         row, column = divmod(k, columns)
@@ -179,7 +185,7 @@ def _shown(images: Images) -> np.ndarray:
 
 
 def _captions(observations: Observations, images: Images, shown: np.ndarray) -> list[str]:
-    """The names of the frames shown; those in which nothing was seen have none to go by."""
+    """The names of the frames shown; empty for those without observations, which have no name."""
     seen, first = np.unique(images.frame_index, return_index=True)
     names = {k: _name(observations, int(i)) for k, i in zip(seen, first, strict=True)}
     return [names.get(k, "") for k in shown]

@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
+from mixer_torch.extras import require
 from mixer_torch.observations import Observations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HUES = (45.0, 345.0)
-"""Degrees of OKLCh hue in use: the reds left out mean "wrong"."""
+"""Degrees of OKLCh hue in use. Reds are left out: they mark what is wrong."""
 LIGHTNESSES = (0.5, 0.8)
 HUE_STEP, LIGHTNESS_STEP = 0.618034, 0.345
-"""Shares of their ranges from one label to the next: the golden ratio, and what suits it best in
-the first 40 labels, of which no two are nearer than 0.06 in OKLab."""
+"""Steps from one label to the next, as shares of the ranges above. The first is the golden ratio,
+which spreads any number of labels evenly; the second was chosen by search, so that no two of the
+first 40 labels are nearer than 0.06 in OKLab."""
 CHROMA = 0.17
 WRONG = (0.86, 0.06, 0.10)
 MISSED = (0.98, 0.72, 0.20)
@@ -34,11 +36,18 @@ def save(figure: Figure, path: str | Path) -> None:
     figure.savefig(path, format="png", facecolor="white")
 
 
+def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
+    """An empty figure, inches. It is made without pyplot, so nothing global is touched.
+
+    Raises:
+        ImportError: Matplotlib is not installed.
+    """
+    return require("matplotlib.figure", extra="plots").Figure(figsize=(width, height), dpi=dpi)
+
+
 def blank_figure(text: str) -> Figure:
     """A picture that says why there is nothing to see."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 2))
+    figure = new_figure(6, 2)
     figure.text(0.5, 0.5, text, ha="center", va="center", color=INK, fontsize=12)
     return figure
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from mixer_torch.extras import require
 from mixer_torch.io.frames import NumberedFrames
 from mixer_torch.plots.style import FADED, colors
 from mixer_torch.scoring import Progress
@@ -18,11 +19,12 @@ from mixer_torch.tracks import Tracks
 
 TRAIL_SECONDS = 1.0
 FRAMES_PER_SECOND = (2.0, 60.0)
-"""What people can follow, and players play."""
+"""Slowest and fastest of a video: what a viewer can follow and common players can play."""
 DARK, LIGHT = (24, 20, 18), (255, 255, 255)
 SHADE = 0.3
 """Brightness of the line around a box, which sets it apart from a background of its colour."""
 LUMA = (0.114, 0.587, 0.299)
+"""Weights of blue, green and red in brightness (ITU-R BT.601)."""
 
 
 def write_track_video(
@@ -65,9 +67,12 @@ def write_drawn(
     frame_rate: float,
     progress: Progress | None = None,
 ) -> None:
-    """Write an mp4 of one frame or more with what is to be drawn on them, and a caption each."""
-    import cv2
+    """Write an mp4 of one frame or more, with boxes drawn on them and a caption each.
 
+    Raises:
+        OSError: The video cannot be written.
+    """
+    cv2 = require("cv2", extra="vision")
     height, width = frames.frames[int(frames.place[0])].shape[:2]
     rate = float(np.clip(frame_rate / _step(frames), *FRAMES_PER_SECOND))
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
@@ -88,14 +93,13 @@ def drawn_frames(
     drawing: Drawing, frames: NumberedFrames, captions: Sequence[str], frame_rate: float
 ) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     """The frames with what is drawn on them, BGR, one after the other."""
-    import cv2
-
+    cv2 = require("cv2", extra="vision")
     memory = max(TRAIL_SECONDS * frame_rate, 2 * _step(frames))
     for number, place, caption in zip(frames.number, frames.place, captions, strict=True):
         frame = cv2.cvtColor(frames.frames[int(place)], cv2.COLOR_RGB2BGR)
         pen = Pen.of(frame)
         first, start, end = np.searchsorted(drawing.frame, [number - memory, number, number + 1])
-        # The nearest last, whose feet are lowest, so that who is in front is drawn in front.
+        # In order of the boxes' lower edges: what is nearer to the camera is drawn over the rest.
         now = np.arange(start, end)[np.argsort(drawing.box[start:end, 3], kind="stable")]
         recent = np.arange(first, end)
         if len(now):
@@ -158,7 +162,7 @@ class Pen:
 
     @classmethod
     def of(cls, frame: np.ndarray) -> Pen:
-        """Twice the frame's height, not quite twice the size."""
+        """Sizes grow with the frame's height, more slowly than it (power 0.8)."""
         scale = (frame.shape[0] / 480) ** 0.8
         return cls(
             line=max(1, round(1.6 * scale)),
@@ -180,7 +184,10 @@ def _draw_trails(
     pen: Pen,
     clock: tuple[float, float],
 ) -> None:
-    """Lines from foot to foot of each identity, the fainter the longer ago; now and memory."""
+    """Lines between successive foot points of each identity, fainter with age.
+
+    The clock is the current frame's number and by how much a number may be older to be drawn.
+    """
     import cv2
 
     now, memory = clock
@@ -237,7 +244,7 @@ def _dashes(corners: list[tuple[int, int]], length: int) -> Iterator[tuple[list[
 
 
 def _draw_number(frame: np.ndarray, drawing: Drawing, row: int, pen: Pen) -> None:
-    """On a chip that stands on the box's upper edge, or in the frame's where that is outside."""
+    """In a filled rectangle on the box's upper edge, moved into the frame if that is outside."""
     import cv2
 
     text, color = str(drawing.number[row]), drawing.color[row]
@@ -247,21 +254,21 @@ def _draw_number(frame: np.ndarray, drawing: Drawing, row: int, pen: Pen) -> Non
     left, bottom = _pixels(frame, drawing.box[row, :2]).tolist()
     left = int(np.clip(left - pen.line // 2, 0, max(frame.shape[1] - width, 0)))
     bottom = int(np.clip(bottom, height, frame.shape[0]))
-    chip = ((left, bottom - height), (left + width, bottom))
-    cv2.rectangle(frame, *chip, color.tolist(), cv2.FILLED)
+    label = ((left, bottom - height), (left + width, bottom))
+    cv2.rectangle(frame, *label, color.tolist(), cv2.FILLED)
     letters = DARK if float(color @ LUMA) > 150 else LIGHT
     place = (left + pen.gap, bottom - pen.gap)
     cv2.putText(frame, text, place, font, pen.letters, letters, pen.stroke, cv2.LINE_AA)
 
 
 def _draw_caption(frame: np.ndarray, text: str, pen: Pen) -> None:
-    """In the lower left corner, on a darkened ground."""
+    """In the lower left corner, on a darkened background."""
     import cv2
 
     font = cv2.FONT_HERSHEY_SIMPLEX
     (width, height), _ = cv2.getTextSize(text, font, pen.letters, pen.stroke)
-    ground = frame[-height - 4 * pen.gap :, : width + 4 * pen.gap]
-    ground[:] = ground // 3
+    background = frame[-height - 4 * pen.gap :, : width + 4 * pen.gap]
+    background[:] = background // 3
     place = (2 * pen.gap, frame.shape[0] - 2 * pen.gap)
     cv2.putText(frame, text, place, font, pen.letters, LIGHT, pen.stroke, cv2.LINE_AA)
 
