@@ -54,13 +54,14 @@ from mixer_torch.benchmarks.learning import (
     sample,
 )
 from mixer_torch.benchmarks.results import grouped, mean, spread
-from mixer_torch.datasets import Dataset, MOTChallenge, Tracked
+from mixer_torch.datasets import Dataset, MOTChallenge
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import cllr
 from mixer_torch.scorers import SIFT, Color, IoU, Motion, Proximity, Tracklet
 from mixer_torch.scorers.embedding import Embedding
 from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork
 from mixer_torch.tracking import Tracker
+from mixer_torch.tracking.tracked import Tracked
 from mixer_torch.train.data import Rows
 from mixer_torch.train.evaluation import solved
 from mixer_torch.train.pairs import parts_of_objects

@@ -23,7 +23,7 @@ import mixer_torch as mx
 from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.benchmarks import comparison, results
 from mixer_torch.cli import build_parsers
-from mixer_torch.datasets.base import find
+from mixer_torch.io.files import find
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.metrics.retrieval import retrieval_of_affinity
 from mixer_torch.solvers.threshold import AllPairs

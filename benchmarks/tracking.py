@@ -33,7 +33,7 @@ from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, peers, results, tracking_report
 from mixer_torch.datasets import Crowd, MOTChallenge
-from mixer_torch.datasets.base import find
+from mixer_torch.io.files import find
 from mixer_torch.io.mot_tracks import read_mot_truth
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.plugins import everything

@@ -12,7 +12,8 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from mixer_torch.observations import integers, load_npz, save_npz
+from mixer_torch.io.files import load_npz, save_npz
+from mixer_torch.observations import integers
 from mixer_torch.pairs import within_view
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from mixer_torch.observations import load_npz, save_npz
+from mixer_torch.io.files import load_npz, save_npz
 
 FORMAT = "mixer-torch association 1"
 

@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
+from mixer_torch.io.files import load_npz, save_npz
+
 FORMAT = "mixer-torch observations 1"
 FLOAT_FEATURES = {"time": torch.float64, "box": torch.float32, "position": torch.float32}
 INT_FEATURES = ("frame", "camera", "identity")
@@ -214,6 +216,12 @@ class Observations:
     def __len__(self) -> int:
         return len(self.view)
 
+    @property
+    def camera(self) -> Int64[Tensor, " m"]:
+        """(m,) int64, the feature ``camera``; 0 throughout, the one camera, where there is none."""
+        camera = self.features.get("camera")
+        return torch.zeros_like(self.view) if camera is None else camera
+
     def __getitem__(self, name: str) -> Tensor:
         """Feature by name; KeyError lists those that there are."""
         if name not in self.features:
@@ -304,38 +312,6 @@ def integers(name: str, value: Any) -> Tensor:
             f"got {tensor.dtype} of shape {tuple(tensor.shape)}"
         )
     return tensor.to(torch.int64)
-
-
-def save_npz(path: str | Path, arrays: Mapping[str, Any]) -> None:
-    """Write an npz whole or not at all: to a temporary file beside it, then renamed."""
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def load_npz(path: str | Path, kind: str) -> dict[str, np.ndarray]:
-    """Read an npz that says it is of a kind, never unpickling.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is not an npz, or of another kind.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path} is not a readable npz file: {error}") from error
-    found = str(arrays.pop("format", "of no known kind"))
-    if found != kind:
-        raise ValueError(f"{path}: expected a file of kind {kind!r}, got {found!r}")
-    return arrays
 
 
 def _tensor(name: str, value: Any) -> Tensor:

@@ -101,7 +101,7 @@ class Reachable(PairSelector):
 
     def __call__(self, observations: Observations) -> Int64[Tensor, "2 P"]:
         time, box = observations["time"].double(), observations["box"].double()
-        camera = observations.features.get("camera", torch.zeros_like(observations.view))
+        camera = observations.camera
         moment = torch.unique(time, return_inverse=True)[1]
         height = (box[:, 3] - box[:, 1]).clamp(min=1.0)
         middle = (box[:, :2] + box[:, 2:]) / 2

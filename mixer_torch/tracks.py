@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 
 from mixer_torch.observations import Observations, integers
 
@@ -102,6 +103,15 @@ class Tracks:
         frame = observations["frame"].cpu().numpy()[row]
         return cls(frame, label[row] + 1, box[row], observation=row, **kept)
 
+    def check_one_camera(self) -> None:
+        """ValueError where the boxes are of several cameras."""
+        cameras = np.unique(self.camera)
+        if len(cameras) > 1:
+            raise ValueError(
+                f"tracks: expected one camera, got {', '.join(map(str, cameras))}; "
+                f"select(tracks.camera == {cameras[0]}) first"
+            )
+
     def select(self, mask: Any) -> Tracks:
         """Some of the boxes: a mask (n,) bool, or indices."""
         index = np.asarray(mask)
@@ -111,6 +121,11 @@ class Tracks:
             index = index.astype(np.int64)
         names = ("frame", "identity", "box", "confidence", "camera", "observation")
         return Tracks(*(getattr(self, name)[index] for name in names))
+
+
+def from_one(identity: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Identities raised by 1 where one of them is 0."""
+    return identity + int(identity.min(initial=1) == 0)
 
 
 def _array(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from mixer_torch.io.files import atomic_write
 from mixer_torch.observations import Observations
 from mixer_torch.scorers import calibrators
 from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
@@ -80,13 +81,8 @@ def write_safetensors(path: str | Path, module: nn.Module, settings: Mapping[str
 
     state = module.state_dict()
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
+    with atomic_write(path) as partial:
         partial.write_bytes(save(tensors, dict(settings)))
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_safetensors(path: str | Path, kind: str) -> tuple[dict[str, Tensor], dict[str, str]]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int64
 from torch import Tensor
 
+from mixer_torch.boxes import paired_iou
 from mixer_torch.observations import Observations
 from mixer_torch.scorers.calibration import PiecewiseLinear
 from mixer_torch.scoring import Calibrator, Scorer
@@ -67,7 +67,7 @@ class IoU(Scorer):
         box, moment = (observations[key] for key in self.needs)
         if moment.ndim != 1:
             raise ValueError(f"feature: expected one number an observation, got {self.needs[1]!r}")
-        camera = observations.features.get("camera", torch.zeros_like(observations.view))
+        camera = observations.camera
         return box, moment, camera
 
     def compare(self, description: tuple[Tensor, Tensor, Tensor], pairs: Tensor) -> Tensor:
@@ -75,13 +75,4 @@ class IoU(Scorer):
         a, b = pairs
         consecutive = (moment[a] - moment[b]).abs() <= self.max_gap
         consecutive = consecutive & (camera[a] == camera[b])
-        return box_iou(box, pairs).where(consecutive, box.new_tensor(torch.nan))
-
-
-def box_iou(box: Float[Tensor, "m 4"], pairs: Int64[Tensor, "2 P"]) -> Float[Tensor, " P"]:
-    """Intersection over union of pairs of boxes x1 y1 x2 y2; 0 where both have no area."""
-    a, b = box[pairs[0]], box[pairs[1]]
-    overlap = torch.minimum(a[:, 2:], b[:, 2:]) - torch.maximum(a[:, :2], b[:, :2])
-    intersection = overlap.clamp(min=0).prod(1)
-    area_a, area_b = ((x[:, 2:] - x[:, :2]).clamp(min=0).prod(1) for x in (a, b))
-    return intersection / (area_a + area_b - intersection).clamp(min=torch.finfo(box.dtype).tiny)
+        return paired_iou(box[a], box[b]).where(consecutive, box.new_tensor(torch.nan))

@@ -83,7 +83,7 @@ class Motion(Scorer):
         """Times and states of both ends, cameras, and confidences."""
         if any(key not in observations.features for key in PATH_FEATURES):
             observations = without_paths(observations, self.model)
-        camera = observations.features.get("camera", torch.zeros_like(observations.view))
+        camera = observations.camera
         sure = observations.features.get("confidence", torch.full_like(camera, 1.0).double())
         return (*(observations[key] for key in PATH_FEATURES), camera, sure.double())
 

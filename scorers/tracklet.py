@@ -60,7 +60,7 @@ class Tracklet(Scorer):
 
     def describe(self, observations: Observations) -> tuple[Tensor, ...]:
         """Tracklets, their times and states at both ends, cameras, and whether all is known."""
-        camera = observations.features.get("camera", torch.zeros_like(observations.view))
+        camera = observations.camera
         tracklet, *path = (observations[key] for key in self.needs)
         known = torch.stack([value.flatten(1).isfinite().all(1) for value in path]).all(0)
         return (tracklet, *path, camera, known)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mixer_torch.boxes import box_overlap, match_boxes
+from mixer_torch.boxes import iou, match_boxes
 
 
 def random_boxes(generator, count):
@@ -23,14 +23,14 @@ def test_overlap_against_a_grid_of_pixels():
 
     for i, j in itertools.product(range(6), repeat=2):
         expected = (mask(a[i]) & mask(b[j])).sum() / (mask(a[i]) | mask(b[j])).sum()
-        assert box_overlap(a, b)[i, j] == pytest.approx(expected)
+        assert iou(a, b)[i, j] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_matching_against_brute_force(seed):
     generator = np.random.default_rng(seed)
     a, b = random_boxes(generator, 4), random_boxes(generator, 5)
-    overlap = box_overlap(a, b)
+    overlap = iou(a, b)
     overlap[overlap < 0.3] = 0
     best = max(
         sum(overlap[i, j] for i, j in enumerate(order))

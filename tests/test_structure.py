@@ -19,7 +19,6 @@ CIRCLES_TO_MEND = True
 LONG_FUNCTIONS_TO_MEND = {"mixer_torch/commands/track.py:track"}
 LONG_FILES_TO_MEND: set[str] = set()
 CONSTRUCTORS_TO_MEND = {
-    "mixer_torch/datasets/motchallenge.py:MOTChallenge",
     "mixer_torch/datasets/parking_lot.py:ParkingLot",
     "mixer_torch/tracking/tracker.py:Tracker",
     "scorers/sift.py:SIFT",

@@ -105,7 +105,7 @@ class Crops(Dataset):
         return len(self.images)
 
     def __getitem__(self, index: Any) -> dict[str, Tensor]:
-        camera = self.observations.features.get("camera", torch.zeros(len(self), dtype=torch.int64))
+        camera = self.observations.camera
         return {
             "images": self.images[index].float() / 255,
             "identity": self.observations["identity"][index],

@@ -16,6 +16,7 @@ from torch.nn.functional import cross_entropy
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.fusion import LogOddsFusion
+from mixer_torch.io.files import write_json
 from mixer_torch.metrics.calibration import calibration_metrics
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.metrics.retrieval import retrieval
@@ -26,7 +27,6 @@ from mixer_torch.scorers.embedding import Embedding, EmbeddingNetwork, embed, sa
 from mixer_torch.scorers.fitted import save_calibrator
 from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.threshold import AllPairs
-from mixer_torch.train.evaluation import write_json
 
 LABEL_SMOOTHING = 0.1
 WARM_UP = 0.05

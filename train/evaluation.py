@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from mixer_torch.affinity import Affinity
 from mixer_torch.fusion import Fusion
+from mixer_torch.io.files import write_json
 from mixer_torch.metrics.calibration import calibration_metrics
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.base import solve
@@ -64,11 +64,6 @@ def evaluate_scores(
     save(reliability_figure(ratios), folder / "reliability.png")
     save(histograms_figure(ratios), folder / "histograms.png")
     return results
-
-
-def write_json(path: Path, results: Mapping[str, Any]) -> None:
-    """Write figures for people and programs."""
-    path.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 
 
 def ratios_by_modality(

@@ -14,9 +14,10 @@ from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from mixer_torch.fusion import Fusion, LinearFusion, LogOddsFusion
+from mixer_torch.io.files import write_json
 from mixer_torch.train.data import PairData, Rows
 from mixer_torch.train.dependence import dependence, worth
-from mixer_torch.train.evaluation import evaluate_scores, solved, summary, write_json
+from mixer_torch.train.evaluation import evaluate_scores, solved, summary
 from mixer_torch.train.tables import PairTable
 
 

@@ -22,7 +22,8 @@ from mixer_torch.commands.text import (
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.extras import require
 from mixer_torch.fusion import Fusion, LinearFusion
-from mixer_torch.io.results import Result, check_folder, staged, write_associations, write_tables
+from mixer_torch.io.files import check_folder
+from mixer_torch.io.results import Result, staged, write_associations, write_tables
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.plots.affinity import affinity_figure

@@ -13,8 +13,8 @@ from mixer_torch.association import Association, Status
 from mixer_torch.commands.sequences import measure_tracks, tracks_table
 from mixer_torch.commands.text import check_suffix, metrics_table
 from mixer_torch.datasets.base import Dataset
-from mixer_torch.io.files import written_whole
-from mixer_torch.io.results import known_identity, read_labels, write_json
+from mixer_torch.io.files import write_json
+from mixer_torch.io.results import known_identity, read_labels
 from mixer_torch.metrics.clustering import evaluate as measure
 
 SHOWN = ("precision", "recall", "f1", "bcubed_f1", "adjusted_rand")
@@ -60,8 +60,7 @@ def evaluate(
         lines = [tracks_table(metrics)]
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(out) as partial:
-            write_json(partial, metrics)
+        write_json(out, metrics)
         lines.append(f"written: {out}")
     return "\n".join(lines)
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mixer_torch.commands.text import table
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import Dataset
 from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.io.files import find
 from mixer_torch.io.motchallenge import read_seqinfo
 from mixer_torch.io.tracks import READERS, read_mot_truth, read_tracks
 from mixer_torch.metrics.tracking import evaluate_sequences

@@ -15,10 +15,9 @@ import torch
 from mixer_torch.association import Association
 from mixer_torch.commands.associate import device_named
 from mixer_torch.commands.text import listing, table
-from mixer_torch.datasets.base import find
 from mixer_torch.datasets.motchallenge import MOTChallenge
+from mixer_torch.io.files import atomic_write, check_folder, find
 from mixer_torch.io.frames import NumberedFrames
-from mixer_torch.io.results import check_folder
 from mixer_torch.io.tracks import MotTruth, read_mot_truth, write_tracks
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.observations import Observations
@@ -231,13 +230,9 @@ def _track(
 
 
 def _write_video(path: Path, job: Job, tracks: Tracks, progress: Progress) -> None:
-    partial = path.with_name(f".{job.name}.partial.mp4")
-    try:
-        rate = job.dataset.info().frame_rate
+    rate = job.dataset.info().frame_rate
+    with atomic_write(path) as partial:
         write_track_video(partial, tracks, job.frames, rate, progress)  # type: ignore[arg-type]
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _report(
@@ -248,8 +243,8 @@ def _report(
     out: Path,
 ) -> str:
     """The table of all sequences, notes, and the files that were written."""
-    metrics, missing = _measure(outcomes, truths)
-    notes = [*(note for job in jobs for note in job.notes), *notes, *missing, *_latencies(outcomes)]
+    metrics = _measure(outcomes, truths)
+    notes = [*(note for job in jobs for note in job.notes), *notes, *_latencies(outcomes)]
     written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
     return "\n".join(
         [
@@ -263,19 +258,16 @@ def _report(
 
 def _measure(
     outcomes: Mapping[str, Outcome], truths: Mapping[str, tuple[MotTruth, Tracks]]
-) -> tuple[dict[str, Mapping[str, Any]], list[str]]:
-    """The metrics of each sequence that has truth, those of all together as "", and notes."""
+) -> dict[str, Mapping[str, Any]]:
+    """The metrics of each sequence that has truth and, as "", of these together."""
     if not truths:
-        return {}, []
+        return {}
     results = {
         name: truth.without_distractors(outcomes[name].tracks)
         for name, (truth, _) in truths.items()
     }
-    try:
-        found = evaluate_sequences(results, {name: chosen for name, (_, chosen) in truths.items()})
-    except ImportError as error:
-        return {}, [f"no metrics: {error}"]
-    return {**found["sequences"], "": found["combined"]}, []
+    found = evaluate_sequences(results, {name: chosen for name, (_, chosen) in truths.items()})
+    return {**found["sequences"], "": found["combined"]}
 
 
 def _latencies(outcomes: Mapping[str, Outcome]) -> list[str]:

@@ -9,7 +9,6 @@ from mixer_torch.datasets.multicamera import MultiCamera
 from mixer_torch.datasets.parking_lot import ParkingLot
 from mixer_torch.datasets.persons import Persons
 from mixer_torch.datasets.table import Table
-from mixer_torch.tracking.tracked import Tracked
 
 __all__ = [
     "COCO",
@@ -21,5 +20,4 @@ __all__ = [
     "ParkingLot",
     "Persons",
     "Table",
-    "Tracked",
 ]

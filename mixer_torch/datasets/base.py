@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-import os
+import math
 from abc import ABC, abstractmethod
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
-from mixer_torch.observations import Observations
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64
+
+from mixer_torch.observations import Images, Observations
+
+SOURCES = ("det", "gt")
+"""Observe detections, or the true boxes."""
 
 
 class Dataset(ABC):
@@ -22,30 +31,75 @@ class Dataset(ABC):
         """
 
 
-def find(path: str | Path) -> Path:
-    """A path as it stands, or, if relative and not there, inside the folder ``$MIXER_DATA``.
+@dataclass(frozen=True)
+class FrameRange:
+    """Which frames of a sequence are read.
+
+    Args:
+        start: First frame; from the beginning if None.
+        stop: Last frame, included; to the end if None.
+        step: From one frame to the next, counting from ``start``, or from 0 if that is None.
 
     Raises:
-        FileNotFoundError: It is in neither place.
+        ValueError: step is less than 1.
     """
-    path = Path(path).expanduser()
-    root = os.environ.get("MIXER_DATA")
-    places = [path] if root is None or path.is_absolute() else [path, Path(root) / path]
-    for place in places:
-        if place.exists():
-            return place
-    hint = "" if root or path.is_absolute() else " (and MIXER_DATA, where else to look, is not set)"
-    raise FileNotFoundError(f"{' and '.join(map(str, places))}: not found{hint}")
+
+    start: int | None = None
+    stop: int | None = None
+    step: int = 1
+
+    def __post_init__(self) -> None:
+        if self.step < 1:
+            raise ValueError(f"step: expected 1 or more, got {self.step}")
+
+    @property
+    def is_all(self) -> bool:
+        """Whether no frame is left out."""
+        return self == FrameRange()
+
+    def contains(self, frame: Any) -> Bool[np.ndarray, " n"]:
+        """Which of some frame numbers (n,) are read."""
+        keep = (frame - (self.start or 0)) % self.step == 0
+        if self.start is not None:
+            keep &= frame >= self.start
+        return keep if self.stop is None else keep & (frame <= self.stop)
 
 
-def check_file(path: Path, what: str = "") -> None:
-    """That it is a file, which ``what`` says the use of.
+def observations_of(
+    view: np.ndarray, features: Mapping[str, np.ndarray], images: Images | None = None
+) -> Observations:
+    """Observations from arrays."""
+    tensors = {name: torch.from_numpy(value) for name, value in features.items()}
+    return Observations(torch.from_numpy(view), tensors, images)
 
-    Raises:
-        FileNotFoundError: There is no such file.
-        IsADirectoryError: It is a folder.
-    """
-    if path.is_dir():
-        raise IsADirectoryError(f"{what}{path} is a folder, expected a file")
-    if not path.is_file():
-        raise FileNotFoundError(f"{what}{path} does not exist")
+
+def in_space(point: Float64[np.ndarray, "m 2"]) -> np.ndarray:
+    """Points of the ground with z = 0, as float32; a row of NaN stays one."""
+    height = np.where(np.isnan(point[:, :1]), np.nan, 0)
+    return np.concatenate([point, height], 1).astype(np.float32)
+
+
+def check_source(source: str) -> None:
+    """ValueError unless it is one of :data:`SOURCES`."""
+    if source not in SOURCES:
+        raise ValueError(f"source: expected 'det' or 'gt', got {source!r}")
+
+
+def check_positive(**values: float | None) -> None:
+    """ValueError that names the first that is neither positive and finite nor None."""
+    for name, value in values.items():
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{name}: expected a positive number, got {value}")
+
+
+def check_not_negative(**values: float) -> None:
+    """ValueError that names the first that is negative or not finite."""
+    for name, value in values.items():
+        if not (value >= 0 and math.isfinite(value)):
+            raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
+
+
+def check_images(images: str | None, video: Any) -> None:
+    """ValueError where there are both images and a video."""
+    if images is not None and video is not None:
+        raise ValueError(f"images, video: expected one of them, got {images!r} and {video!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float, Float64
 
-from mixer_torch.datasets.base import check_file
 from mixer_torch.datasets.fitted_ground import fit_homography, is_truth
+from mixer_torch.io.files import check_file, read_json, read_text
 
 MILLIMETRES = 1000.0
 # On PETS09-S2L1 the true boxes land 3.8 cm (median) from their true ground positions; 12 cm
@@ -43,7 +42,7 @@ class Homography:
         Raises:
             ValueError: The file holds anything else, or a matrix without inverse.
         """
-        words = Path(path).read_text(encoding="utf-8").replace(",", " ").split()
+        words = read_text(Path(path)).replace(",", " ").split()
         try:
             matrix = np.array(words, dtype=np.float64).reshape(3, 3)
         except ValueError as error:
@@ -188,10 +187,7 @@ class Pinhole:
         Raises:
             ValueError: The file is not JSON, a key is missing or unknown, or a value malformed.
         """
-        try:
-            found = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-        except ValueError as error:
-            raise ValueError(f"{path} is not readable as JSON: {error}") from error
+        found = read_json(Path(path))
         keys = set(found) if isinstance(found, dict) else set()
         if keys - {"distortion"} not in ({"K", "R", "t"}, {"K", "R", "centre"}):
             have = ", ".join(sorted(keys)) or "none"

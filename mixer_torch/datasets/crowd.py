@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import torch
 from jaxtyping import Float64
 
-from mixer_torch.datasets.base import Dataset
+from mixer_torch.boxes import area, intersection
+from mixer_torch.datasets.base import Dataset, check_positive, check_source, observations_of
 from mixer_torch.observations import Observations
 
 WIDTH, HEIGHT, FOCAL = 1920, 1080, 1600.0  # of the picture, pixels
@@ -25,6 +25,7 @@ SIDEWAYS = 0.8  # share of those who enter at the left or right
 HIDDEN, PLAIN = 0.2, 0.6  # visible share up to which nobody is detected; from which all equally
 
 
+@dataclass(eq=False)
 class Crowd(Dataset):
     """People who walk, stop, turn, leave and enter, seen by a camera on a mast; boxes only.
 
@@ -52,34 +53,25 @@ class Crowd(Dataset):
         ValueError: An argument is out of its range.
     """
 
-    def __init__(
-        self,
-        num_people: int = 50,
-        num_frames: int = 1000,
-        frame_rate: float = 25.0,
-        box_jitter: float = 0.03,
-        miss_rate: float = 0.1,
-        clutter: float = 3.0,
-        seed: int = 0,
-        source: Literal["det", "gt"] = "det",
-    ) -> None:
-        for name, value in (("num_people", num_people), ("num_frames", num_frames), ("seed", seed)):
+    num_people: int = 50
+    num_frames: int = 1000
+    frame_rate: float = 25.0
+    box_jitter: float = 0.03
+    miss_rate: float = 0.1
+    clutter: float = 3.0
+    seed: int = 0
+    source: Literal["det", "gt"] = "det"
+
+    def __post_init__(self) -> None:
+        for name in ("num_people", "num_frames", "seed"):
+            value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
                 raise ValueError(f"{name}: expected an integer of 0 or more, got {value!r}")
-        if not (math.isfinite(frame_rate) and frame_rate > 0):
-            raise ValueError(f"frame_rate: expected a finite number above 0, got {frame_rate}")
-        for name, number, most in (
-            ("box_jitter", box_jitter, 1.0),
-            ("miss_rate", miss_rate, 1.0),
-            ("clutter", clutter, 1e6),
-        ):
-            if not 0 <= number <= most:
+        check_positive(frame_rate=self.frame_rate)
+        for name, most in (("box_jitter", 1.0), ("miss_rate", 1.0), ("clutter", 1e6)):
+            if not 0 <= (number := getattr(self, name)) <= most:
                 raise ValueError(f"{name}: expected a number from 0 to {most:g}, got {number}")
-        if source not in ("det", "gt"):
-            raise ValueError(f"source: expected 'det' or 'gt', got {source!r}")
-        self.num_people, self.num_frames, self.frame_rate = num_people, num_frames, frame_rate
-        self.box_jitter, self.miss_rate, self.clutter = box_jitter, miss_rate, clutter
-        self.seed, self.source = seed, source
+        check_source(self.source)
 
     def load(self) -> Observations:
         walking, seeing = (np.random.default_rng([self.seed, k]) for k in range(2))
@@ -92,16 +84,16 @@ class Crowd(Dataset):
             rows.append(np.column_stack([np.full(len(row), frame), row]))
             people = _walk_on(people, 1 / self.frame_rate, walking)
         table = np.concatenate(rows)
-        number = torch.from_numpy(table[:, 0].astype(np.int64))
-        features = {
+        number = table[:, 0].astype(np.int64)
+        features: dict[str, np.ndarray] = {
             "frame": number,
-            "time": (number - 1).double() / self.frame_rate,
-            "camera": torch.zeros_like(number),
-            "box": torch.from_numpy(table[:, 1:5].astype(np.float32)),
-            "confidence": torch.from_numpy(table[:, 5].astype(np.float32)),
-            "identity": torch.from_numpy(table[:, 6].astype(np.int64)),
+            "time": (number - 1) / self.frame_rate,
+            "camera": np.zeros_like(number),
+            "box": table[:, 1:5].astype(np.float32),
+            "confidence": table[:, 5].astype(np.float32),
+            "identity": table[:, 6].astype(np.int64),
         }
-        return Observations(number, features)
+        return observations_of(number, features)
 
     def _detect(
         self,
@@ -129,10 +121,7 @@ def visible_share(
     box: Float64[np.ndarray, "n 4"], depth: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Of each box, the share that nearer ones leave free, as if they overlapped by chance."""
-    low = np.maximum(box[:, None, :2], box[:, :2])
-    high = np.minimum(box[:, None, 2:], box[:, 2:])
-    common = (high - low).clip(min=0).prod(-1)
-    covered = common / (box[:, 2:] - box[:, :2]).prod(-1)[:, None]
+    covered = intersection(box, box) / area(box)[:, None]
     covered[depth[:, None] <= depth] = 0
     return (1 - covered.clip(max=1)).prod(1)
 

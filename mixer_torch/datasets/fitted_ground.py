@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from mixer_torch.io.motchallenge import corners, foot_points, read_truth
+from mixer_torch.boxes import corners, foot_points
+from mixer_torch.io.files import read_text
+from mixer_torch.io.motchallenge import BOX, read_truth
 
 GROUND_COLUMNS = slice(7, 9)
 COLUMNS = 10
@@ -23,7 +25,7 @@ SINGULAR = 1e-6
 
 def is_truth(path: Path) -> bool:
     """Whether a file is a table of true boxes rather than a matrix of nine numbers."""
-    text = path.read_text(encoding="utf-8-sig", errors="replace").strip()
+    text = read_text(path).strip()
     columns = text.partition("\n")[0].count(",") + 1
     return columns >= COLUMNS - 1 and len(text.replace(",", " ").split()) > 9
 
@@ -54,7 +56,7 @@ def fit_homography(path: Path) -> Float64[np.ndarray, "3 3"]:
         raise ValueError(
             f"{path}: expected ground positions in columns 8 and 9, all are {UNKNOWN:g} or NaN"
         )
-    points, ground = foot_points(corners(rows[known])), ground[known]
+    points, ground = foot_points(corners(rows[known, BOX])), ground[known]
     if len(points) < FEWEST:
         raise ValueError(
             f"{path}: expected ground positions of {FEWEST} boxes or more, got {len(points)}"

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import Dataset, FrameRange, check_positive, observations_of
+from mixer_torch.io.files import find
 from mixer_torch.io.text import read_numbers
 from mixer_torch.observations import FolderFrames, Images, Observations
 
 
+@dataclass(eq=False)
 class Landmarks(Dataset):
     """One file of points for each image: row r of every file is the same physical point.
 
@@ -37,40 +39,27 @@ class Landmarks(Dataset):
         images_pattern: Where the images are.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        start: int = 0,
-        stop: int | None = None,
-        step: int = 10,
-        box_size: float = 48.0,
-        frame_rate: float = 1.0,
-        images: bool = True,
-        points_pattern: str = "landmarks/*.txt",
-        images_pattern: str = "images/*.png",
-    ) -> None:
-        if start < 0:
-            raise ValueError(f"start: expected 0 or more, got {start}")
-        if step < 1:
-            raise ValueError(f"step: expected 1 or more, got {step}")
-        if not box_size > 0:
-            raise ValueError(f"box_size: expected a positive number, got {box_size}")
-        if not frame_rate > 0:
-            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
-        self.path = Path(path)
-        self.start, self.stop, self.step = start, stop, step
-        self.box_size = box_size
-        self.frame_rate = frame_rate
-        self.images = images
-        self.points_pattern = points_pattern
-        self.images_pattern = images_pattern
+    path: str | Path
+    start: int = 0
+    stop: int | None = None
+    step: int = 10
+    box_size: float = 48.0
+    frame_rate: float = 1.0
+    images: bool = True
+    points_pattern: str = "landmarks/*.txt"
+    images_pattern: str = "images/*.png"
+
+    def __post_init__(self) -> None:
+        if self.start < 0:
+            raise ValueError(f"start: expected 0 or more, got {self.start}")
+        self.range = FrameRange(self.start, self.stop, self.step)
+        check_positive(box_size=self.box_size, frame_rate=self.frame_rate)
 
     def load(self) -> Observations:
         folder = find(self.path)
         files = in_order(folder, self.points_pattern)
-        stop = len(files) if self.stop is None else self.stop + 1
-        chosen = range(len(files))[self.start : stop : self.step]
-        frame, row, point = _stack({k: _read_points(files[k]) for k in chosen})
+        chosen = np.flatnonzero(self.range.contains(np.arange(len(files))))
+        frame, row, point = _stack({k: _read_points(files[k]) for k in chosen.tolist()})
         half = self.box_size / 2
         features = {
             "frame": frame,
@@ -90,8 +79,7 @@ class Landmarks(Dataset):
                     f"{self.points_pattern}, got {len(paths)} {self.images_pattern}"
                 )
             images = Images(FolderFrames(paths), frame, features["box"])
-        tensors = {name: torch.from_numpy(value) for name, value in features.items()}
-        return Observations(torch.from_numpy(frame), tensors, images)
+        return observations_of(frame, features, images)
 
 
 def in_order(folder: Path, pattern: str) -> list[Path]:

@@ -69,9 +69,8 @@ def chains(
     wider gaps, so a box that is missing in a frame or two does not end a chain.
     """
     before, after = (np.full(len(frame), -1, dtype=np.int64) for _ in range(2))
-    time = frame.astype(np.float64)
     for gap in range(1, MAX_GAP + 1):
         a, b = np.flatnonzero(after < 0), np.flatnonzero(before < 0)
-        i, j = match_boxes(time[a] + gap, box[a], time[b], box[b], MIN_OVERLAP)
+        i, j = match_boxes(frame[a] + gap, box[a], frame[b], box[b], MIN_OVERLAP)
         after[a[i]], before[b[j]] = b[j], a[i]
     return before, after

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import torch
-from jaxtyping import Float64
 
-from mixer_torch.boxes import match_boxes
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.boxes import check_min_overlap, corners, foot_points, true_identities
+from mixer_torch.datasets.base import (
+    Dataset,
+    FrameRange,
+    check_not_negative,
+    check_positive,
+    check_source,
+    in_space,
+    observations_of,
+)
 from mixer_torch.datasets.calibration import find_calibration, read_calibration
 from mixer_torch.datasets.local_motion import local_motion
+from mixer_torch.io.files import find
 from mixer_torch.io.frames import NumberedFrames, find_frames
 from mixer_torch.io.motchallenge import (
+    BOX,
     SequenceInfo,
     as_confidence,
-    corners,
-    foot_points,
     read_repaired,
     read_seqinfo,
     read_table,
@@ -29,6 +36,7 @@ from mixer_torch.io.motchallenge import (
 from mixer_torch.observations import Images, Observations
 
 
+@dataclass(eq=False)
 class MOTChallenge(Dataset):
     """One sequence: a folder with ``seqinfo.ini``, ``det/det.txt`` and what else there is.
 
@@ -82,47 +90,29 @@ class MOTChallenge(Dataset):
         FileNotFoundError: When it loads: there is no such sequence, or no calibration and a window.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        start: int | None = None,
-        stop: int | None = None,
-        step: int = 1,
-        source: Literal["det", "gt"] = "det",
-        min_confidence: float | None = None,
-        min_overlap: float = 0.5,
-        classes: Sequence[int] = (1,),
-        pixels: bool | None = None,
-        calibration: str | Path | None = None,
-        frame_rate: float | None = None,
-        truth: bool = True,
-        repair: bool = False,
-        spread: bool = False,
-        window: float = 0.0,
-    ) -> None:
-        if step < 1:
-            raise ValueError(f"step: expected 1 or more, got {step}")
-        if source not in ("det", "gt"):
-            raise ValueError(f"source: expected 'det' or 'gt', got {source!r}")
-        if not 0 < min_overlap <= 1:
-            raise ValueError(f"min_overlap: expected a value in (0, 1], got {min_overlap}")
-        if frame_rate is not None and not (frame_rate > 0 and np.isfinite(frame_rate)):
-            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
-        if not 0 <= window < float("inf"):
-            raise ValueError(f"window: expected a finite number >= 0, got {window}")
-        self.path = Path(path)
-        self.start, self.stop, self.step = start, stop, step
-        self.source = source
-        self.min_confidence = min_confidence
-        self.spread = spread
-        self.min_overlap = min_overlap
-        self.classes = tuple(classes)
-        self.pixels = pixels
-        self.calibration = calibration
-        self.frame_rate = frame_rate
-        self.truth = truth
-        self.repair = repair
-        self.window = window
+    path: str | Path
+    start: int | None = None
+    stop: int | None = None
+    step: int = 1
+    source: Literal["det", "gt"] = "det"
+    min_confidence: float | None = None
+    min_overlap: float = 0.5
+    classes: Sequence[int] = (1,)
+    pixels: bool | None = None
+    calibration: str | Path | None = None
+    frame_rate: float | None = None
+    truth: bool = True
+    repair: bool = False
+    spread: bool = False
+    window: float = 0.0
+
+    def __post_init__(self) -> None:
+        # The format counts frames from 1.
+        self.range = FrameRange(1 if self.start is None else self.start, self.stop, self.step)
+        check_source(self.source)
+        check_min_overlap(self.min_overlap)
+        check_positive(frame_rate=self.frame_rate)
+        check_not_negative(window=self.window)
 
     def load(self) -> Observations:
         observations, notes = self.read()
@@ -135,7 +125,7 @@ class MOTChallenge(Dataset):
         folder, info = self.folder, self.info()
         table, chosen, identity, notes = self._rows(folder, info)
         rows = table[chosen]
-        frame, box = rows[:, 0].astype(np.int64), corners(rows)
+        frame, box = rows[:, 0].astype(np.int64), corners(rows[:, BOX])
         features = {
             "frame": frame,
             "time": (frame - 1) / info.frame_rate,
@@ -146,12 +136,7 @@ class MOTChallenge(Dataset):
         if identity is not None:
             features["identity"] = identity
         features |= self._places(folder, info, table, chosen)
-        observations = Observations(
-            torch.from_numpy(frame),
-            {name: torch.from_numpy(value) for name, value in features.items()},
-            self._images(folder, info, frame, box),
-        )
-        return observations, notes
+        return observations_of(frame, features, self._images(folder, info, frame, box)), notes
 
     @property
     def folder(self) -> Path:
@@ -189,11 +174,14 @@ class MOTChallenge(Dataset):
         if truth is None:
             return table, chosen, None, notes
         rows, truth = table[chosen], truth[self._choose(truth)]
-        identity = np.full(len(rows), -1, dtype=np.int64)
-        mine, theirs = match_boxes(
-            rows[:, 0], corners(rows), truth[:, 0], corners(truth), self.min_overlap
+        identity = true_identities(
+            rows[:, 0],
+            corners(rows[:, BOX]),
+            truth[:, 0],
+            corners(truth[:, BOX]),
+            truth[:, 1],
+            self.min_overlap,
         )
-        identity[mine] = truth[theirs, 1]
         return table, chosen, identity, notes
 
     def _detections(self, file: Path, info: SequenceInfo) -> tuple[np.ndarray, list[str]]:
@@ -215,9 +203,7 @@ class MOTChallenge(Dataset):
 
     def chosen(self, frame: np.ndarray) -> np.ndarray:
         """Which of these frames are to be read, by ``start``, ``stop`` and ``step``."""
-        start = 1 if self.start is None else self.start
-        keep = (frame >= start) & ((frame - start) % self.step == 0)
-        return keep if self.stop is None else keep & (frame <= self.stop)
+        return self.range.contains(frame)
 
     def _places(
         self, folder: Path, info: SequenceInfo, table: np.ndarray, chosen: np.ndarray
@@ -235,8 +221,10 @@ class MOTChallenge(Dataset):
                 )
             return {}
         if not self.window:
-            return {"position": in_space(ground.to_ground(foot_points(corners(table[chosen]))))}
-        box = corners(table)
+            return {
+                "position": in_space(ground.to_ground(foot_points(corners(table[chosen, BOX]))))
+            }
+        box = corners(table[:, BOX])
         place, velocity = local_motion(
             table[:, 0].astype(np.int64),
             box,
@@ -266,9 +254,3 @@ class MOTChallenge(Dataset):
                 "choose frames that have an image, or set pixels to null or false"
             )
         return None
-
-
-def in_space(point: Float64[np.ndarray, "m 2"]) -> np.ndarray:
-    """Points of the plane with z = 0, as float32; a row of NaN stays one."""
-    height = np.where(np.isnan(point[:, :1]), np.nan, 0)
-    return np.concatenate([point, height], 1).astype(np.float32)

@@ -8,16 +8,24 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from jaxtyping import Float64, Int64
 
-from mixer_torch.boxes import match_boxes
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.boxes import check_min_overlap, foot_points, true_identities
+from mixer_torch.datasets.base import (
+    Dataset,
+    FrameRange,
+    check_images,
+    check_not_negative,
+    check_positive,
+    check_source,
+    in_space,
+    observations_of,
+)
 from mixer_torch.datasets.calibration import Calibration, read_calibration
 from mixer_torch.datasets.joined_frames import JoinedFrames
 from mixer_torch.datasets.local_motion import local_motion
-from mixer_torch.datasets.motchallenge import foot_points, in_space
 from mixer_torch.io.box_tables import Boxes, read_boxes
+from mixer_torch.io.files import find
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 
@@ -53,10 +61,7 @@ class Camera:
     first_frame: int = 0
 
     def __post_init__(self) -> None:
-        if self.images is not None and self.video is not None:
-            raise ValueError(
-                f"images, video: expected one of them, got {self.images!r} and {self.video!r}"
-            )
+        check_images(self.images, self.video)
 
     def frames(
         self, frame: Int64[np.ndarray, " n"]
@@ -88,6 +93,7 @@ class Camera:
         return FolderFrames([find(name) for name in names]), index.reshape(-1)
 
 
+@dataclass(eq=False)
 class MultiCamera(Dataset):
     """Boxes of several cameras with one frame rate, on one clock, in one frame of the world.
 
@@ -122,43 +128,29 @@ class MultiCamera(Dataset):
             pixels, and others none.
     """
 
-    def __init__(
-        self,
-        cameras: Sequence[Camera],
-        frame_rate: float,
-        start: int | None = None,
-        stop: int | None = None,
-        step: int = 1,
-        source: Literal["det", "gt"] = "det",
-        min_confidence: float | None = None,
-        min_overlap: float = 0.5,
-        depth: float = 0.0,
-        window: float = 0.0,
-    ) -> None:
-        if not len(cameras):
+    cameras: Sequence[Camera]
+    frame_rate: float
+    start: int | None = None
+    stop: int | None = None
+    step: int = 1
+    source: Literal["det", "gt"] = "det"
+    min_confidence: float | None = None
+    min_overlap: float = 0.5
+    depth: float = 0.0
+    window: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not len(self.cameras):
             raise ValueError("cameras: expected at least one, got none")
-        if not 0 < frame_rate < float("inf"):
-            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
-        if step < 1:
-            raise ValueError(f"step: expected 1 or more, got {step}")
-        if source not in ("det", "gt"):
-            raise ValueError(f"source: expected 'det' or 'gt', got {source!r}")
-        if not 0 < min_overlap <= 1:
-            raise ValueError(f"min_overlap: expected a value in (0, 1], got {min_overlap}")
-        for name, value in (("depth", depth), ("window", window)):
-            if not 0 <= value < float("inf"):
-                raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
-        _check_all("truth", [camera.truth for camera in cameras], needed=source == "gt")
-        _check_all("calibration", [camera.calibration for camera in cameras], needed=window > 0)
+        check_positive(frame_rate=self.frame_rate)
+        self.range = FrameRange(self.start, self.stop, self.step)
+        check_source(self.source)
+        check_min_overlap(self.min_overlap)
+        check_not_negative(depth=self.depth, window=self.window)
+        cameras = self.cameras
+        _check_all("truth", [camera.truth for camera in cameras], needed=self.source == "gt")
+        _check_all("calibration", [camera.calibration for camera in cameras], self.window > 0)
         _check_all("images, video", [camera.images or camera.video for camera in cameras])
-        self.cameras = tuple(cameras)
-        self.frame_rate = frame_rate
-        self.start, self.stop, self.step = start, stop, step
-        self.source = source
-        self.min_confidence = min_confidence
-        self.min_overlap = min_overlap
-        self.depth = depth
-        self.window = window
 
     def load(self) -> Observations:
         parts = [self._load(k, camera) for k, camera in enumerate(self.cameras)]
@@ -168,11 +160,7 @@ class MultiCamera(Dataset):
         frame = features["frame"]
         # A negative view is no view, and a delay can bring frames before the first.
         view = (frame - frame.min(initial=0)) * len(self.cameras) + features["camera"]
-        return Observations(
-            torch.from_numpy(view),
-            {name: torch.from_numpy(value) for name, value in features.items()},
-            self._images(features),
-        )
+        return observations_of(view, features, self._images(features))
 
     def _images(self, features: dict[str, np.ndarray]) -> Images | None:
         """The pixels of all cameras, where they have any."""
@@ -197,7 +185,7 @@ class MultiCamera(Dataset):
         if self.min_confidence is not None:
             boxes = boxes.select(boxes.confidence >= self.min_confidence)
         frame = boxes.frame - camera.delay
-        rows = self._chosen(frame)
+        rows = np.flatnonzero(self.range.contains(frame))
         chosen = boxes.select(rows)
         features = {
             "frame": frame[rows],
@@ -207,34 +195,22 @@ class MultiCamera(Dataset):
             "confidence": chosen.confidence.astype(np.float32),
         }
         if truth is not None:
-            features["identity"] = self._identity(chosen, truth)
+            features["identity"] = (
+                chosen.identity
+                if self.source == "gt"
+                else true_identities(
+                    chosen.frame,
+                    chosen.box,
+                    truth.frame,
+                    truth.box,
+                    truth.identity,
+                    self.min_overlap,
+                )
+            )
         if camera.calibration is not None:
             ground = read_calibration(find(camera.calibration), camera.name)
             features |= self._places(ground, boxes, rows)
         return features
-
-    def _chosen(self, frame: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
-        """The rows of the chosen frames."""
-        keep = (frame - (self.start or 0)) % self.step == 0
-        if self.start is not None:
-            keep &= frame >= self.start
-        if self.stop is not None:
-            keep &= frame <= self.stop
-        return np.flatnonzero(keep)
-
-    def _identity(self, boxes: Boxes, truth: Boxes) -> Int64[np.ndarray, " m"]:
-        if self.source == "gt":
-            return boxes.identity
-        identity = np.full(len(boxes), -1, dtype=np.int64)
-        mine, theirs = match_boxes(
-            boxes.frame.astype(np.float64),
-            boxes.box,
-            truth.frame.astype(np.float64),
-            truth.box,
-            self.min_overlap,
-        )
-        identity[mine] = truth.identity[theirs]
-        return identity
 
     def _places(
         self, ground: Calibration, boxes: Boxes, rows: Int64[np.ndarray, " m"]

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from mixer_torch.datasets.balance import BalancedFrames
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import Dataset, observations_of
+from mixer_torch.io.files import find
 from mixer_torch.observations import FolderFrames, Images, Observations
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png")
 
 
+@dataclass(eq=False)
 class Persons(Dataset):
     """One image an observation: ``<person>/<camera>_<orientation>.png``.
 
@@ -39,23 +41,16 @@ class Persons(Dataset):
         ValueError: limit or skip is negative.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        cameras: Sequence[int] | None = None,
-        orientations: Sequence[int] | None = None,
-        limit: int | None = None,
-        skip: int = 0,
-        balance: bool = False,
-    ) -> None:
-        if (limit is not None and limit < 0) or skip < 0:
-            raise ValueError(f"limit, skip: expected 0 or more, got {limit} and {skip}")
-        self.path = Path(path)
-        self.cameras = cameras
-        self.orientations = orientations
-        self.limit = limit
-        self.skip = skip
-        self.balance = balance
+    path: str | Path
+    cameras: Sequence[int] | None = None
+    orientations: Sequence[int] | None = None
+    limit: int | None = None
+    skip: int = 0
+    balance: bool = False
+
+    def __post_init__(self) -> None:
+        if (self.limit is not None and self.limit < 0) or self.skip < 0:
+            raise ValueError(f"limit, skip: expected 0 or more, got {self.limit} and {self.skip}")
 
     def load(self) -> Observations:
         folder = find(self.path)
@@ -82,10 +77,9 @@ class Persons(Dataset):
         box = np.zeros((len(chosen), 4), dtype=np.float32)
         box[:, 2:] = np.array(sizes).reshape(-1, 2)
         names = ("identity", "camera", "orientation")
-        features = {name: torch.from_numpy(numbers[:, k].copy()) for k, name in enumerate(names)}
-        features["box"] = torch.from_numpy(box)
-        view = torch.full((len(chosen),), -1)
-        return Observations(view, features, Images(frames, np.arange(len(chosen)), box))
+        features = {name: numbers[:, k].copy() for k, name in enumerate(names)}
+        images = Images(frames, np.arange(len(chosen)), box)
+        return observations_of(np.full(len(chosen), -1), features | {"box": box}, images)
 
 
 def _numbers(file: Path) -> tuple[int, int, int]:

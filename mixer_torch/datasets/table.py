@@ -5,14 +5,22 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float32, Float64, Int64
 
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import (
+    Dataset,
+    FrameRange,
+    check_images,
+    check_positive,
+    in_space,
+    observations_of,
+)
 from mixer_torch.io.columns import Columns
+from mixer_torch.io.files import find
 from mixer_torch.observations import FolderFrames, Images, Observations, VideoFrames
 
 BOX = ("x1", "y1", "x2", "y2")
@@ -21,6 +29,7 @@ EMBEDDING = "embedding"
 STANDARD = {"view", "frame", "camera", "time", "confidence", "identity", *BOX, *POSITION}
 
 
+@dataclass(eq=False)
 class Table(Dataset):
     """A CSV file with a header (``.tsv``: apart by tabs), or a ``.parquet`` file.
 
@@ -56,29 +65,19 @@ class Table(Dataset):
         first_frame: What the table calls the first frame of the video.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        start: int | None = None,
-        stop: int | None = None,
-        step: int = 1,
-        frame_rate: float | None = None,
-        images: str | None = None,
-        video: str | Path | None = None,
-        first_frame: int = 0,
-    ) -> None:
-        if step < 1:
-            raise ValueError(f"step: expected 1 or more, got {step}")
-        if frame_rate is not None and not frame_rate > 0:
-            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
-        if images is not None and video is not None:
-            raise ValueError(f"images, video: expected one of them, got {images!r} and {video!r}")
-        self.path = Path(path)
-        self.start, self.stop, self.step = start, stop, step
-        self.frame_rate = frame_rate
-        self.images = images
-        self.video = video
-        self.first_frame = first_frame
+    path: str | Path
+    start: int | None = None
+    stop: int | None = None
+    step: int = 1
+    frame_rate: float | None = None
+    images: str | None = None
+    video: str | Path | None = None
+    first_frame: int = 0
+
+    def __post_init__(self) -> None:
+        self.range = FrameRange(self.start, self.stop, self.step)
+        check_positive(frame_rate=self.frame_rate)
+        check_images(self.images, self.video)
 
     def load(self) -> Observations:
         path = find(self.path)
@@ -87,24 +86,14 @@ class Table(Dataset):
             raise ValueError(f"{path} is empty: expected a header with 'view' or 'frame'")
         view, keep = _views(columns), self._chosen(columns)
         features = {name: value[keep] for name, value in self._features(columns).items()}
-        return Observations(
-            torch.from_numpy(view[keep]),
-            {name: torch.from_numpy(value) for name, value in features.items()},
-            self._images(columns, keep, features.get("box")),
-        )
+        images = self._images(columns, keep, features.get("box"))
+        return observations_of(view[keep], features, images)
 
     def _chosen(self, columns: Columns) -> Int64[np.ndarray, " n"]:
         """The rows of the chosen frames."""
-        rows = np.arange(columns.rows)
-        if self.start is None and self.stop is None and self.step == 1:
-            return rows
-        frame = columns.integers("frame")
-        keep = (frame - (self.start or 0)) % self.step == 0
-        if self.start is not None:
-            keep &= frame >= self.start
-        if self.stop is not None:
-            keep &= frame <= self.stop
-        return rows[keep]
+        if self.range.is_all:
+            return np.arange(columns.rows)
+        return np.flatnonzero(self.range.contains(columns.integers("frame")))
 
     def _features(self, columns: Columns) -> dict[str, np.ndarray]:
         readers = {"frame": columns.integers, "camera": columns.codes, "time": columns.numbers}
@@ -173,10 +162,7 @@ def _boxes(columns: Columns) -> Float32[np.ndarray, "m 4"]:
 
 def _positions(columns: Columns) -> Float32[np.ndarray, "m 3"]:
     position = _rows(columns, POSITION if "z" in columns else POSITION[:2])
-    if "z" not in columns:
-        height = np.where(np.isnan(position[:, :1]), np.nan, 0)
-        position = np.concatenate([position, height], 1)
-    return position.astype(np.float32)
+    return position.astype(np.float32) if "z" in columns else in_space(position)
 
 
 def _embeddings(columns: Columns) -> Float32[np.ndarray, "m d"]:

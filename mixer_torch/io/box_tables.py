@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from mixer_torch.io.motchallenge import corners, read_table, read_truth
-from mixer_torch.io.text import read_numbers, read_text, refuse
+from mixer_torch.boxes import corners
+from mixer_torch.io.files import read_json, read_text
+from mixer_torch.io.motchallenge import BOX, read_table, read_truth
+from mixer_torch.io.text import read_numbers, refuse, repeated
 
 VATIC_COLUMNS = 9
 MARGIN = 0.5
@@ -64,16 +65,15 @@ def read_boxes(path: Path, truth: bool = False) -> Boxes:
         FileNotFoundError: There is no such file.
         ValueError: It is malformed; the message names the file and the line or the frame.
     """
-    text = read_text(path)
     if path.name.lower().removesuffix(".gz").endswith(".json"):
-        boxes = _read_json(path, text)
-    elif '"' in next((line for line in text.split("\n") if line.strip()), ""):
+        boxes = _read_json(path)
+    elif '"' in read_text(path).lstrip().partition("\n")[0]:
         boxes = _read_vatic(path)
     else:
         rows = read_truth(path) if truth else read_table(path)[0]
         ones = np.ones(len(rows))
         frame, identity = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
-        return Boxes(frame, corners(rows), ones if truth else rows[:, 6], identity)
+        return Boxes(frame, corners(rows[:, BOX]), ones if truth else rows[:, 6], identity)
     if truth and (boxes.identity < 0).any():
         raise ValueError(f"{path}: expected a table of true boxes, got one without identities")
     return boxes
@@ -87,19 +87,17 @@ def _read_vatic(path: Path) -> Boxes:
     refuse(path, number, (rows[:, [0, 5]] % 1 != 0).any(1), "identity or frame is not whole")
     rows, number = rows[rows[:, 6] == 0], number[rows[:, 6] == 0]
     refuse(path, number, (rows[:, 3:5] <= rows[:, 1:3]).any(1), "expected x1 < x2 and y1 < y2")
-    first = np.unique(rows[:, [0, 5]], axis=0, return_index=True)[1]
-    repeated = ~np.isin(np.arange(len(rows)), first)
-    refuse(path, number, repeated, "this identity is in this frame already")
+    refuse(path, number, repeated(rows[:, [0, 5]]), "this identity is in this frame already")
     identity, frame = rows[:, 0].astype(np.int64), rows[:, 5].astype(np.int64)
     return Boxes(frame, rows[:, 1:5], np.ones(len(rows)), identity)
 
 
-def _read_json(path: Path, text: str) -> Boxes:
+def _read_json(path: Path) -> Boxes:
     """Frames with lists of detections, boxes in parts of the picture's width and height."""
     rows: list[list[float]] = []
     place = "video_info"
+    found = read_json(path)
     try:
-        found = json.loads(text)
         size = found["video_info"]
         width, height = float(size["width"]), float(size["height"])
         for k, frame in enumerate(found["frames"]):
@@ -108,8 +106,6 @@ def _read_json(path: Path, text: str) -> Boxes:
             for detection in frame["detections"]:
                 sides = (detection["bbox"][side] for side in ("left", "top", "right", "bottom"))
                 rows.append([number, *map(float, sides), float(detection["confidence"])])
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not readable as JSON: {error}") from error
     except KeyError as error:
         raise ValueError(f"{path}: {place}: {error} is missing") from None
     except (TypeError, ValueError) as error:

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from mixer_torch.datasets.motchallenge import corners
-from mixer_torch.io.files import written_whole
-from mixer_torch.io.motchallenge import CLASS_COLUMNS, read_table
-from mixer_torch.io.text import read_numbers, refuse
-from mixer_torch.metrics.tracking import match, similarity
-from mixer_torch.tracks import Tracks
+from mixer_torch.boxes import assign, corners, iou, left_top_size
+from mixer_torch.io.files import atomic_write
+from mixer_torch.io.motchallenge import BOX, BOX_COLUMNS, check_identities, has_class, read_table
+from mixer_torch.io.text import GUESS, read_numbers, refuse
+from mixer_torch.tracks import Tracks, from_one
 
-MIN_COLUMNS = 6
 CONFIDENCE = 6
 UNKNOWN = -1
 DISTRACTORS = (2, 7, 8, 12)
@@ -44,12 +42,13 @@ def read_mot(path: str | Path) -> Tracks:
             message names the file and the line.
     """
     path = Path(path)
-    rows, number = read_numbers(path, MIN_COLUMNS, delimiter=_delimiter(path))
-    refuse(path, number, ~np.isfinite(rows[:, :MIN_COLUMNS]).all(1), "a number is not finite")
-    frame, identity = _whole(path, number, rows)
+    rows, number = read_numbers(path, BOX_COLUMNS, GUESS)
+    refuse(path, number, ~np.isfinite(rows[:, :BOX_COLUMNS]).all(1), "a number is not finite")
+    refuse(path, number, (rows[:, 0] < 0) | (rows[:, 0] % 1 != 0), "expected a frame of 0 or more")
+    check_identities(path, number, rows)
     confidence = rows[:, CONFIDENCE] if rows.shape[1] > CONFIDENCE else np.ones(len(rows))
     confidence = np.where(confidence == UNKNOWN, np.nan, confidence)
-    return Tracks(frame, identity, corners(rows), confidence)
+    return _tracks(rows, confidence)
 
 
 def write_mot(path: str | Path, tracks: Tracks) -> None:
@@ -60,30 +59,19 @@ def write_mot(path: str | Path, tracks: Tracks) -> None:
     Raises:
         ValueError: The tracks are of several cameras, which the format cannot tell apart.
     """
-    check_one_camera(tracks)
-    size = tracks.box[:, 2:] - tracks.box[:, :2]
+    tracks.check_one_camera()
     sure = np.where(np.isnan(tracks.confidence), UNKNOWN, tracks.confidence)
     rows = zip(
         tracks.frame.tolist(),
         tracks.identity.tolist(),
-        np.hstack([tracks.box[:, :2], size]).tolist(),
+        left_top_size(tracks.box).tolist(),
         sure.tolist(),
         strict=True,
     )
-    with written_whole(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+    with atomic_write(path) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
         for frame, identity, (left, top, width, height), confidence in rows:
             box = f"{left:.2f},{top:.2f},{width:.2f},{height:.2f}"
             file.write(f"{frame},{identity},{box},{confidence:.4g},-1,-1,-1\n")
-
-
-def check_one_camera(tracks: Tracks) -> None:
-    """ValueError where tracks are of several cameras."""
-    cameras = np.unique(tracks.camera)
-    if len(cameras) > 1:
-        names = ", ".join(map(str, cameras))
-        raise ValueError(
-            f"tracks: expected one camera, got {names}; select(tracks.camera == {cameras[0]}) first"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +108,7 @@ class MotTruth:
             wanted = self.tracks.box[_rows_of(frame, self.tracks.frame)]
             true = np.concatenate([wanted, self.box[other]])
             distractor = np.append(np.zeros(len(wanted), dtype=bool), self.distractor[other])
-            row, column = match(similarity(true, result.box[found]), DISTRACTOR_OVERLAP)
+            row, column = assign(iou(true, result.box[found]), DISTRACTOR_OVERLAP)
             away[found][column[distractor[row]]] = True
         return result.select(~away)
 
@@ -152,47 +140,19 @@ def read_mot_truth(
     rows, number = read_table(path)
     wanted = rows[:, 6] != 0
     distractor = np.zeros(len(rows), dtype=bool)
-    if rows.shape[1] == CLASS_COLUMNS:
+    if has_class(rows):
         wanted &= np.isin(rows[:, 7], classes)
         distractor = np.isin(rows[:, 7], distractors)
-    frame, identity = _whole(path, number[wanted], rows[wanted])
-    tracks = Tracks(frame, identity, corners(rows[wanted]))
-    others = rows[~wanted]
-    return MotTruth(tracks, others[:, 0].astype(np.int64), corners(others), distractor[~wanted])
+    check_identities(path, number[wanted], rows[wanted])
+    frame, box = rows[~wanted, 0].astype(np.int64), corners(rows[~wanted, BOX])
+    return MotTruth(_tracks(rows[wanted]), frame, box, distractor[~wanted])
+
+
+def _tracks(rows: Float64[np.ndarray, "n columns"], confidence: Any = None) -> Tracks:
+    frame, identity = rows[:, :2].astype(np.int64).T
+    return Tracks(frame, from_one(identity), corners(rows[:, BOX]), confidence)
 
 
 def _rows_of(frame: int, frames: Int64[np.ndarray, " n"]) -> slice:
     """Where a frame stands among frames in order."""
     return slice(*np.searchsorted(frames, [frame, frame + 1]))
-
-
-def _delimiter(path: Path) -> str | None:
-    if not path.is_file():
-        return ","
-    with path.open(encoding="utf-8-sig") as file:
-        first = next((line for line in file if line.strip()), ",")
-    return "," if "," in first else None
-
-
-def _whole(
-    path: Path, number: Int64[np.ndarray, " n"], rows: Float64[np.ndarray, "n columns"]
-) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Frames and identities, which count from 1."""
-    frame, identity = rows[:, 0], rows[:, 1]
-    refuse(path, number, (frame < 0) | (frame % 1 != 0), "expected a frame of 0 or more")
-    refuse(
-        path,
-        number,
-        (identity < 0) | (identity % 1 != 0),
-        "expected an identity of 0 or more; -1 marks a detection of no track",
-    )
-    first = np.unique(rows[:, :2], axis=0, return_index=True)[1]
-    repeated = np.ones(len(rows), dtype=bool)
-    repeated[first] = False
-    refuse(path, number, repeated, "this identity is in this frame already")
-    return frame.astype(np.int64), from_one(identity.astype(np.int64))
-
-
-def from_one(identity: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """Identities raised by 1 where one of them is 0."""
-    return identity + int(identity.min(initial=1) == 0)

@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
-from mixer_torch.datasets.base import check_file
 from mixer_torch.io.frames import usual_suffix
-from mixer_torch.io.text import read_numbers, refuse
+from mixer_torch.io.text import GUESS, read_numbers, refuse, repeated
 
 MIN_COLUMNS = 7
 BOX_COLUMNS = 6
 """Columns of a table that ends with the box, and has no scores."""
+BOX = slice(2, 6)
+"""Columns of the box: left, top, width, height."""
 CLASS_COLUMNS = 9
 UNKNOWN_SCORE = -1.0
 """What the format writes where there is no value."""
@@ -116,26 +117,26 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
     """
     rows, number = read_table(path)
     keep = rows[:, 6] != 0
-    if rows.shape[1] == CLASS_COLUMNS:
+    if has_class(rows):
         keep &= np.isin(rows[:, 7], classes)
     rows, number = rows[keep], number[keep]
-    identity = rows[:, 1]
-    refuse(path, number, (identity < 0) | (identity % 1 != 0), "expected an identity of 0 or more")
-    first = np.unique(rows[:, :2], axis=0, return_index=True)[1]
-    repeated = np.ones(len(rows), dtype=bool)
-    repeated[first] = False
-    refuse(path, number, repeated, "this identity is in this frame already")
+    check_identities(path, number, rows)
     return rows
 
 
-def corners(rows: Float64[np.ndarray, "n columns"]) -> Float64[np.ndarray, "n 4"]:
-    """Boxes x1 y1 x2 y2 from left, top, width, height in columns 2 to 5."""
-    return np.concatenate([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6]], 1)
+def has_class(rows: Float64[np.ndarray, "n columns"]) -> bool:
+    """Whether the eighth column of a table of truth is a class: MOT16 and later have nine."""
+    return rows.shape[1] == CLASS_COLUMNS
 
 
-def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
-    """Where each box meets the ground: the middle of its lower edge."""
-    return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])
+def check_identities(
+    path: Path, number: Int64[np.ndarray, " n"], rows: Float64[np.ndarray, "n columns"]
+) -> None:
+    """ValueError where an identity is no whole number of 0 or more, or twice in a frame."""
+    wrong = (rows[:, 1] < 0) | (rows[:, 1] % 1 != 0)
+    expected = "expected an identity of 0 or more; -1 marks a detection of no track"
+    refuse(path, number, wrong, expected)
+    refuse(path, number, repeated(rows[:, :2]), "this identity is in this frame already")
 
 
 def read_repaired(
@@ -161,7 +162,7 @@ def read_repaired(
         FileNotFoundError: There is no such file.
         ValueError: A line is no line of numbers, or has no frame; the message names the line.
     """
-    rows, number = read_numbers(path, BOX_COLUMNS, _delimiter(path))
+    rows, number = read_numbers(path, BOX_COLUMNS, GUESS)
     _check_frames(path, rows, number)
     if rows.shape[1] == BOX_COLUMNS:
         rows = np.column_stack([rows, np.full(len(rows), UNKNOWN_SCORE)])
@@ -220,30 +221,14 @@ def _flaws(info: SequenceInfo, last: int | None) -> list[tuple[str, Any]]:
             ),
         ),
         (f"after frame {end:g}, the last by seqinfo.ini", lambda rows: rows[:, 0] > end),
-        ("the same box is in this frame already", _repeated),
+        ("the same box is in this frame already", lambda rows: repeated(rows[:, [0, 2, 3, 4, 5]])),
     ]
-
-
-def _repeated(rows: Float64[np.ndarray, "n columns"]) -> Bool[np.ndarray, " n"]:
-    """Which rows have frame and box of a row before them."""
-    first = np.unique(rows[:, [0, 2, 3, 4, 5]], axis=0, return_index=True)[1]
-    repeated = np.ones(len(rows), dtype=bool)
-    repeated[first] = False
-    return repeated
 
 
 def _check_frames(path: Path, rows: np.ndarray, number: np.ndarray) -> None:
     frame = rows[:, 0]
     wrong = ~((frame >= 1) & (frame % 1 == 0))
     refuse(path, number, wrong, "expected a frame of 1 or more")
-
-
-def _delimiter(path: Path) -> str | None:
-    """The comma, or None for white space where the first line that is not blank has none."""
-    check_file(path)
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        first = next((line for line in file if line.strip()), ",")
-    return "," if "," in first else None
 
 
 def _count(path: Path, section: Mapping[str, str], key: str) -> int | None:

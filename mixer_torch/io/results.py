@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from torch import Tensor
 from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association
 from mixer_torch.fusion import Fusion
+from mixer_torch.io.files import check_folder, write_json
 from mixer_torch.io.mot_tracks import write_mot
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.metrics.retrieval import retrieval_of_affinity
@@ -69,9 +69,9 @@ class Result:
     def metrics(self) -> dict[str, Any] | None:
         """``{"all": {...}, "alone": {modality: {...}}}``, "alone" only where there is any.
 
-        Each is what :func:`~mixer_torch.metrics.clustering.evaluate` finds; a gallery of several cameras has
-        the figures of :mod:`~mixer_torch.metrics.retrieval` beside them. None where identities are
-        not known.
+        Each is what :func:`~mixer_torch.metrics.clustering.evaluate` finds; a gallery of several
+        cameras has the figures of :mod:`~mixer_torch.metrics.retrieval` beside them. None where
+        identities are not known.
         """
         identity, view = self.identity, self.observations.view
         if identity is None:
@@ -140,9 +140,8 @@ def write_tracks(path: Path, observations: Observations, labels: Tensor) -> None
     these are no tracks.
     """
     frame = observations["frame"]
-    camera = observations.features.get("camera", torch.zeros_like(frame))
     seen = observations["box"].isfinite().all(1)
-    place = torch.stack([frame, camera, labels.to(frame)], 1)[seen]
+    place = torch.stack([frame, observations.camera, labels.to(frame)], 1)[seen]
     if len(place.unique(dim=0)) < len(place):
         return
     tracks = Tracks.from_labels(observations, labels)
@@ -161,11 +160,6 @@ def write_links(path: Path, links: Tensor) -> None:
         writer = csv.writer(file)
         writer.writerow(("first", "second"))
         writer.writerows(links.T.tolist())
-
-
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write JSON for people to read, too."""
-    path.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
 
 
 def read_labels(path: Path) -> dict[str, Tensor]:
@@ -226,12 +220,6 @@ def staged(folder: Path) -> Iterator[Path]:
             path.replace(folder / path.name)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-
-
-def check_folder(folder: Path) -> None:
-    """NotADirectoryError where a file stands in the place of a folder."""
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"out: expected a folder, got the file {folder}")
 
 
 def _integer(cell: str | None, name: str, path: Path, line: int) -> int:

@@ -9,9 +9,9 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from mixer_torch.io.columns import PARQUET, Columns
-from mixer_torch.io.files import written_whole
-from mixer_torch.io.mot_tracks import from_one
-from mixer_torch.tracks import Tracks
+from mixer_torch.io.files import atomic_write, check_file
+from mixer_torch.io.text import repeated
+from mixer_torch.tracks import Tracks, from_one
 
 BOX = ("x1", "y1", "x2", "y2")
 SUFFIXES = (".csv", ".tsv", *PARQUET)
@@ -35,8 +35,7 @@ def read_table(path: str | Path) -> Tracks:
             identity is twice in a frame of a camera; the message names the row, from 1.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist")
+    check_file(path)
     columns = Columns(path)
     if not columns.columns:
         raise ValueError(f"{path} is empty: expected a header with frame, identity, x1, y1, x2, y2")
@@ -51,11 +50,9 @@ def read_table(path: str | Path) -> Tracks:
         "observation": columns.integers("observation") if "observation" in columns else None,
     }
     camera = np.zeros(columns.rows) if others["camera"] is None else others["camera"]
-    rows = np.flatnonzero(keep)
-    place = np.stack([frame, camera, identity], 1)[rows]
-    repeated = np.zeros(columns.rows, dtype=bool)
-    repeated[np.delete(rows, np.unique(place, axis=0, return_index=True)[1])] = True
-    columns.refuse(name, repeated, "an identity once in a frame of a camera")
+    again = np.zeros(columns.rows, dtype=bool)
+    again[keep] = repeated(np.stack([frame, camera, identity], 1)[keep])
+    columns.refuse(name, again, "an identity once in a frame of a camera")
     kept = {key: None if value is None else value[keep] for key, value in others.items()}
     identity = identity[keep] + 1 if name == "label" else from_one(identity[keep])
     return Tracks(frame[keep], identity, box[keep], **kept)
@@ -87,7 +84,7 @@ def write_table(path: str | Path, tracks: Tracks) -> None:
             "observation": tracks.observation,
         }
     )
-    with written_whole(path) as partial:
+    with atomic_write(path) as partial:
         if suffix in PARQUET:
             parquet.write_table(table, partial)
         else:

@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
-from mixer_torch.datasets.base import check_file
+from mixer_torch.io.files import read_text
 
-
-def read_text(path: Path) -> str:
-    """The text of a file, unpacked where its name ends in ``.gz``.
-
-    Raises:
-        OSError: There is no such file, or it is a folder.
-        ValueError: It does not unpack, or is not text.
-    """
-    check_file(path)
-    opener: Any = gzip.open if path.suffix == ".gz" else open
-    try:
-        with opener(path, "rt", encoding="utf-8-sig") as file:
-            return file.read()
-    except (UnicodeDecodeError, gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{path} is not readable as text: {error}") from error
+GUESS = "guess"
+"""Commas, or white space where the first line that is not blank has no comma."""
 
 
 def read_numbers(
@@ -37,7 +22,7 @@ def read_numbers(
     Args:
         path: Text file, packed if its name ends in ``.gz``.
         columns: How many columns there have to be at least.
-        delimiter: What stands between numbers; white space if None.
+        delimiter: What stands between numbers; white space if None, and :data:`GUESS` to look.
         label: What opens text at the end of a line, which is left out; None if there is no text.
 
     Returns:
@@ -54,6 +39,8 @@ def read_numbers(
     number = np.array([i for i, line in enumerate(lines, 1) if line.strip()], dtype=np.int64)
     if not len(number):
         return np.empty((0, columns)), number
+    if delimiter == GUESS:
+        delimiter = "," if "," in lines[number[0] - 1] else None
     try:
         text = (lines[i - 1] for i in number)
         rows = np.loadtxt(text, delimiter=delimiter, comments=None, ndmin=2)
@@ -71,6 +58,13 @@ def refuse(path: Path, number: Int64[np.ndarray, " n"], wrong: Any, message: str
     wrong = np.asarray(wrong)
     if wrong.any():
         raise ValueError(f"{path}, line {number[wrong.argmax()]}: {message}")
+
+
+def repeated(rows: Any) -> Bool[np.ndarray, " n"]:
+    """Which rows (n, d) are equal to a row before them."""
+    again = np.ones(len(rows), dtype=bool)
+    again[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return again
 
 
 def _explain(path: Path, lines: list[str], number: np.ndarray, delimiter: str | None) -> str:

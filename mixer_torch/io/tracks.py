@@ -1,14 +1,12 @@
-"""Tracks in files and in the hands of other packages: one format a file.
+"""Tracks in files: the format is told by the ending of the name.
 
 ========================= ============================= ==================================
 ``.txt``                  :func:`read_mot`              :func:`write_mot`
 ``.json``                 :func:`read_coco`             :func:`write_coco`
 ``.csv``, ``.parquet``    :func:`read_table`            :func:`write_table`
-supervision               :func:`from_supervision`,     :func:`to_supervision`
-                          :func:`observations_from_supervision`
 ========================= ============================= ==================================
 
-Writers write whole files or none.
+:mod:`mixer_torch.tracking.supervision` has them in the hands of the package supervision.
 """
 
 from __future__ import annotations
@@ -16,27 +14,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from mixer_torch.io.coco_tracks import read_coco, write_coco
+from mixer_torch.io.coco import read_coco, write_coco
 from mixer_torch.io.mot_tracks import MotTruth, read_mot, read_mot_truth, write_mot
 from mixer_torch.io.table_tracks import SUFFIXES as TABLES
 from mixer_torch.io.table_tracks import read_table, write_table
-from mixer_torch.tracking.supervision import (
-    from_supervision,
-    observations_from_supervision,
-    to_supervision,
-)
 from mixer_torch.tracks import Tracks
 
 __all__ = [
     "MotTruth",
-    "from_supervision",
-    "observations_from_supervision",
     "read_coco",
     "read_mot",
     "read_mot_truth",
     "read_table",
     "read_tracks",
-    "to_supervision",
     "write_coco",
     "write_mot",
     "write_table",

@@ -1,43 +1,36 @@
-"""How good tracks are against the truth: HOTA, IDF1, MOTA and the like, by the package trackeval.
+"""How good tracks are against the truth: HOTA, IDF1, MOTA and the like.
 
-The metrics are those of MOTChallenge: HOTA (Luiten et al., 2021), IDF1 (Ristani et al., 2016) and
-CLEAR MOT (Bernardin and Stiefelhagen, 2008), as trackeval's metric classes compute them, here from
-arrays instead of folders. Beside them stand pairwise and B-cubed scores
-(:mod:`mixer_torch.metrics.clustering`) over the boxes that are matched to the truth, which say how good the
-association alone is.
+The metrics are those of MOTChallenge, one a file (:mod:`~mixer_torch.metrics.hota`,
+:mod:`~mixer_torch.metrics.idf1`, :mod:`~mixer_torch.metrics.clear_mot`), and equal what the package
+trackeval computes. Beside them stand pairwise and B-cubed scores
+(:mod:`mixer_torch.metrics.clustering`) over the boxes that are matched to the truth, which say how
+good the association alone is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64
-from scipy.optimize import linear_sum_assignment
+from jaxtyping import Int64
 
-from mixer_torch.boxes import box_overlap
+from mixer_torch.boxes import ROUNDING, check_min_overlap
+from mixer_torch.metrics.clear_mot import clear_ratios, clear_sums
 from mixer_torch.metrics.clustering import bcubed, pairwise
+from mixer_torch.metrics.hota import hota_ratios, hota_sums
+from mixer_torch.metrics.idf1 import idf1_ratios, idf1_sums
+from mixer_torch.metrics.overlaps import Overlaps, overlaps
 from mixer_torch.tracks import Tracks
 
-RATIOS = {
-    "HOTA": ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA"),
-    "Identity": ("IDF1", "IDP", "IDR"),
-    "CLEAR": ("MOTA", "MOTP"),
+RATIOS: dict[str, Callable[[Mapping[str, Any]], dict[str, float]]] = {
+    "HOTA": hota_ratios,
+    "Identity": idf1_ratios,
+    "CLEAR": clear_ratios,
 }
-"""What is reported as a percentage, by the class of trackeval that computes it."""
-COUNTS = {
-    "TP": "CLR_TP",
-    "FP": "CLR_FP",
-    "FN": "CLR_FN",
-    "IDSW": "IDSW",
-    "Frag": "Frag",
-    "MT": "MT",
-    "PT": "PT",
-    "ML": "ML",
-}
-"""What is reported as a number, and how trackeval's CLEAR calls it."""
+COUNTS = ("TP", "FP", "FN", "IDSW", "Frag", "MT", "PT", "ML")
+"""Of CLEAR MOT."""
 
 
 def evaluate_tracks(result: Tracks, truth: Tracks, min_overlap: float = 0.5) -> dict[str, Any]:
@@ -66,7 +59,6 @@ def evaluate_tracks(result: Tracks, truth: Tracks, min_overlap: float = 0.5) -> 
         except LocA, and pairwise and B-cubed, which are 100.
 
     Raises:
-        ImportError: trackeval is not installed.
         ValueError: min_overlap is out of range.
     """
     return evaluate_sequences({"": result}, {"": truth}, min_overlap)["sequences"][""]
@@ -90,35 +82,34 @@ def evaluate_sequences(
         returns them; sequences in the order of the truth.
 
     Raises:
-        ImportError: trackeval is not installed.
         ValueError: Names differ, there are none, or min_overlap is out of range.
     """
     _check(results, truths, min_overlap)
-    scorers = _trackeval(min_overlap)
-    raw: dict[str, dict[str, Any]] = {name: {} for name in scorers}
+    sums: dict[str, dict[str, dict[str, Any]]] = {}
     sizes, matches = {}, {}
     for name in truths:
-        data = _timesteps(results[name], truths[name])
-        for metric, scorer in scorers.items():
-            raw[metric][name] = scorer.eval_sequence(data)
-        sizes[name] = {"tracks": data["num_tracker_ids"], "objects": data["num_gt_ids"]}
-        matches[name] = _matches(data, min_overlap)
-    together = {metric: scorers[metric].combine_sequences(raw[metric]) for metric in scorers}
-    total = {key: sum(size[key] for size in sizes.values()) for key in ("tracks", "objects")}
+        pairs = overlaps(results[name], truths[name])
+        sums[name] = {
+            "HOTA": hota_sums(pairs),
+            "Identity": idf1_sums(pairs, min_overlap),
+            "CLEAR": clear_sums(pairs, min_overlap),
+        }
+        sizes[name] = {"tracks": len(pairs.result.count), "objects": len(pairs.truth.count)}
+        matches[name] = _matches(pairs, min_overlap)
+    together = {metric: _added([sums[name][metric] for name in truths]) for metric in RATIOS}
     return {
-        "combined": _summary(together) | total | _association(_side_by_side(matches.values())),
+        "combined": _summary(together)
+        | _added(list(sizes.values()))
+        | _association(_side_by_side(list(matches.values()))),
         "sequences": {
-            name: _summary({metric: raw[metric][name] for metric in scorers})
-            | sizes[name]
-            | _association(matches[name])
+            name: _summary(sums[name]) | sizes[name] | _association(matches[name])
             for name in truths
         },
     }
 
 
 def _check(results: Mapping[str, Tracks], truths: Mapping[str, Tracks], min_overlap: float) -> None:
-    if not 0 < min_overlap <= 1:
-        raise ValueError(f"min_overlap: expected a value in (0, 1], got {min_overlap}")
+    check_min_overlap(min_overlap)
     if not truths:
         raise ValueError("truths: expected one sequence or more, got none")
     if missing := [name for name in truths if name not in results]:
@@ -127,81 +118,20 @@ def _check(results: Mapping[str, Tracks], truths: Mapping[str, Tracks], min_over
         raise ValueError(f"truths: no truth of {', '.join(extra)}, of which there are tracks")
 
 
-def _trackeval(min_overlap: float) -> dict[str, Any]:
-    """The metric classes of trackeval, which say nothing while they work."""
-    try:
-        from trackeval.metrics import CLEAR, HOTA, Identity
-    except ImportError as error:
-        raise ImportError(
-            "tracking metrics need the package trackeval, which does not import "
-            f'({error}): pip install "mixer-torch[tracking]"'
-        ) from error
-    return {
-        "HOTA": HOTA(),
-        "Identity": Identity({"THRESHOLD": min_overlap, "PRINT_CONFIG": False}),
-        "CLEAR": CLEAR({"THRESHOLD": min_overlap, "PRINT_CONFIG": False}),
-    }
+def _added(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    return {key: sum(part[key] for part in parts) for key in parts[0]}
 
 
-def _timesteps(result: Tracks, truth: Tracks) -> dict[str, Any]:
-    """What trackeval's metrics ask for: identities from 0 and similarities, step by step.
-
-    A step is a frame of a camera. Frames in which there is nothing change no metric.
-    """
-    place = np.concatenate([np.stack([t.camera, t.frame], 1) for t in (truth, result)])
-    step = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
-    steps = int(step.max()) + 1 if len(step) else 0
-    data: dict[str, Any] = {"num_timesteps": steps}
-    rows = {}
-    for name, tracks, own in (
-        ("gt", truth, step[: len(truth)]),
-        ("tracker", result, step[len(truth) :]),
-    ):
-        unique, identity = np.unique(tracks.identity, return_inverse=True)
-        order = np.argsort(own, kind="stable")
-        rows[name] = np.split(order, np.searchsorted(own[order], np.arange(1, steps)))
-        data[f"num_{name}_ids"], data[f"num_{name}_dets"] = len(unique), len(tracks)
-        data[f"{name}_ids"] = [identity[row] for row in rows[name]]
-    data["similarity_scores"] = [
-        similarity(truth.box[true], result.box[found])
-        for true, found in zip(rows["gt"], rows["tracker"], strict=True)
-    ]
-    return data
-
-
-def similarity(
-    a: Float64[np.ndarray, "a 4"], b: Float64[np.ndarray, "b 4"]
-) -> Float64[np.ndarray, "a b"]:
-    """Intersection over union of each box x1 y1 x2 y2 with each; 0 with a box of no area."""
-    solid_a, solid_b = ((box[:, 2:] > box[:, :2]).all(1) for box in (a, b))
-    overlap = np.zeros((len(a), len(b)))
-    overlap[np.ix_(solid_a, solid_b)] = box_overlap(a[solid_a], b[solid_b])
-    return overlap
-
-
-def match(
-    overlap: Float64[np.ndarray, "a b"], min_overlap: float
-) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """The one-to-one assignment of greatest total overlap, where a pair has min_overlap or more."""
-    gain = np.where(overlap < min_overlap - np.finfo(float).eps, 0, overlap)
-    row, column = linear_sum_assignment(gain, maximize=True)
-    counts = gain[row, column] > 0
-    return row[counts], column[counts]
-
-
-def _matches(data: Mapping[str, Any], min_overlap: float) -> Int64[np.ndarray, "3 n"]:
+def _matches(pairs: Overlaps, min_overlap: float) -> Int64[np.ndarray, "3 n"]:
     """Given identity, true identity and step of each box that is matched to the truth."""
-    columns = [np.empty((3, 0), dtype=np.int64)]
-    for step, overlap in enumerate(data["similarity_scores"]):
-        true, found = match(overlap, min_overlap)
-        given, identity = data["tracker_ids"][step][found], data["gt_ids"][step][true]
-        columns.append(np.stack([given, identity, np.full(len(true), step)]))
-    return np.concatenate(columns, 1)
+    allowed = pairs.overlap >= min_overlap - ROUNDING
+    chosen = pairs.assign(np.where(allowed, pairs.overlap, 0))
+    return np.stack([pairs.track, pairs.object, pairs.step])[:, chosen]
 
 
-def _side_by_side(matches: Any) -> Int64[np.ndarray, "3 n"]:
+def _side_by_side(matches: Sequence[Int64[np.ndarray, "3 _"]]) -> Int64[np.ndarray, "3 n"]:
     """The matches of several sequences, which have no identity and no step in common."""
-    columns, start = [np.empty((3, 0), dtype=np.int64)], np.zeros((3, 1), dtype=np.int64)
+    columns, start = [], np.zeros((3, 1), dtype=np.int64)
     for part in matches:
         columns.append(part + start)
         start = start + part.max(1, keepdims=True, initial=-1) + 1
@@ -217,10 +147,10 @@ def _association(matches: Int64[np.ndarray, "3 n"]) -> dict[str, float]:
     }
 
 
-def _summary(raw: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def _summary(sums: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     ratios = {
-        field: 100 * float(np.mean(raw[metric][field]))
-        for metric, fields in RATIOS.items()
-        for field in fields
+        name: 100 * value
+        for metric, of_sums in RATIOS.items()
+        for name, value in of_sums(sums[metric]).items()
     }
-    return ratios | {name: int(raw["CLEAR"][field]) for name, field in COUNTS.items()}
+    return ratios | {name: sums["CLEAR"][name] for name in COUNTS}

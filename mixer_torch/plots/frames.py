@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from mixer_torch.io.frames import NumberedFrames
@@ -160,7 +159,7 @@ def write_video(
         raise ValueError("observations: expected at least one for a video, got none")
     box: Any = images.box
     shown = _shown(images)
-    camera = observations.features.get("camera", torch.zeros(len(labels), dtype=torch.int64))
+    camera = observations.camera
     rows = np.flatnonzero(np.isfinite(box).all(1))
     rows = rows[np.argsort(images.frame_index[rows], kind="stable")]
     drawing = Drawing(

@@ -93,7 +93,7 @@ class CameraPath:
 def frames_and_cameras(observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """Numbers (m,) of the frames, and of the cameras, which are 0 where there is one."""
     frame = observations["frame"]
-    camera = observations.features.get("camera", torch.zeros_like(frame))
+    camera = observations.camera
     return frame.cpu().numpy(), camera.cpu().numpy()
 
 

@@ -53,7 +53,7 @@ def causal_labels(
     """
     position, height = box_position(observations["box"])
     time = observations["time"].double() * (-1 if backwards else 1)
-    camera = observations.features.get("camera", torch.zeros_like(observations.view))
+    camera = observations.camera
     boxes = first_state(position, height, model, resolution)
     labels = torch.arange(len(observations), device=observations.device)
     for one in torch.unique(camera):

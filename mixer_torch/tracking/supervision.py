@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from mixer_torch.io.mot_tracks import check_one_camera, from_one
 from mixer_torch.observations import Observations
-from mixer_torch.tracks import Tracks
+from mixer_torch.tracks import Tracks, from_one
 
 OBSERVATION = "observation"
 
@@ -40,7 +39,7 @@ def to_supervision(
     else:
         tracks, tracked = Tracks.from_labels(seen, torch.arange(len(seen))), False
         known = "confidence" in seen.features
-    check_one_camera(tracks)
+    tracks.check_one_camera()
     if last_frame is None:
         last_frame = int(tracks.frame.max(initial=first_frame - 1))
     known = known and not np.isnan(tracks.confidence).any()

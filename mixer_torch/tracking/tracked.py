@@ -70,6 +70,6 @@ def places(observed: Observations, video: Observations) -> Int64[Tensor, " m"]:
 
 
 def _keys(observations: Observations) -> list[tuple[float, ...]]:
-    camera = observations.features.get("camera", torch.zeros_like(observations.view))
+    camera = observations.camera
     columns = [camera[:, None], observations["frame"][:, None], observations["box"]]
     return [tuple(row) for row in torch.cat([x.double() for x in columns], 1).tolist()]

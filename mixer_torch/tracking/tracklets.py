@@ -190,7 +190,7 @@ def successive(
     larger or smaller by more than ``growth`` nats.
     """
     span, entry, leaving = (tracklets[key] for key in PATH_FEATURES)
-    camera = tracklets.features.get("camera", torch.zeros_like(tracklets.view))
+    camera = tracklets.camera
     order = torch.argsort(span[:, 0], stable=True)
     start = span[order, 0].contiguous()
     low = torch.searchsorted(start, span[:, 1].contiguous(), right=True)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -254,13 +253,6 @@ def test_mistakes_are_named(evaluate, scene, prepare, argv, named):
     assert re.search(re.escape(named), err), err
     assert "Traceback" not in err
     assert not Path("m.json").exists()
-
-
-def test_without_trackeval_it_says_how_to_get_it(evaluate, scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "trackeval.metrics", None)
-    code, _, err = evaluate("out", "--truth", "data")
-    assert code == 2
-    assert 'pip install "mixer-torch[tracking]"' in err
 
 
 @pytest.mark.real_data

@@ -154,7 +154,6 @@ def test_a_long_stretch_without_detections(track):
 
 @pytest.mark.parametrize("default", [False, True])
 def test_no_detections_at_all(track, default):
-    pytest.importorskip("trackeval")
     write_sequence("empty", [], truth=true_lines())
     code, out, err = track("empty", "--out", "out", config=None if default else "lanes.yaml")
     assert code == 0, err
@@ -201,15 +200,6 @@ def test_truth_that_cannot_be_read_is_no_obstacle(track):
     assert code == 0, err
     assert "note: walk: no metrics, as the truth is not readable: walk/gt/gt.txt, line 1" in out
     assert "HOTA" not in out
-
-
-def test_without_trackeval_there_are_no_metrics(track, monkeypatch):
-    monkeypatch.setitem(sys.modules, "trackeval.metrics", None)
-    write_sequence("walk", truth=true_lines())
-    code, out, err = track("walk", "--out", "out")
-    assert code == 0, err
-    assert "note: no metrics: tracking metrics need the package trackeval" in out
-    assert len(text_of("walk").splitlines()) == 10
 
 
 @pytest.fixture

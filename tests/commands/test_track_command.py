@@ -25,7 +25,6 @@ from mixer_torch.observations import VideoFrames
 
 
 def test_each_sequence_has_a_result_and_a_line(track):
-    pytest.importorskip("trackeval")
     write_sequence("a/first", truth=true_lines())
     write_sequence("b/second", lines(range(1, 4), [0, 1, 2]), length=8)
     code, out, err = track("a/first", "b/second", "--out", "out")
@@ -52,7 +51,6 @@ def test_each_sequence_has_a_result_and_a_line(track):
 
 
 def test_the_truth_is_measured_with_and_never_shown(track):
-    pytest.importorskip("trackeval")
     others = [line for line in true_lines() if not line.startswith(("4,8", "5,8"))]
     moved = [line.replace(",8,", ",9,") for line in true_lines([4, 5], [1])]
     write_sequence("walk", truth=[*others, *moved])
@@ -85,7 +83,6 @@ def test_a_tracker_that_works_online_says_how_long_frames_take(track):
 
 
 def test_later_benchmarks_have_classes_and_scores_of_other_scales(track):
-    pytest.importorskip("trackeval")
     rows = [
         f"{f},-1,{100 * k + 10 + f},20,30,60,{score},-1,-1,-1"
         for f in range(1, 6)
@@ -114,7 +111,6 @@ def test_later_benchmarks_have_classes_and_scores_of_other_scales(track):
 
 
 def test_parts_of_a_sequence(track):
-    pytest.importorskip("trackeval")
     write_sequence("walk", truth=true_lines())
     code, out, _ = track("walk", "--out", "out", "--start", 2, "--stop", 4, "--step", 2)
     assert code == 0
@@ -176,7 +172,6 @@ def test_on_a_gpu(track):
 
 @pytest.mark.real_data
 def test_a_real_sequence_without_truth_or_pixels(real_data, track, tmp_path):
-    pytest.importorskip("trackeval")
     os.symlink(real_data / "mot15" / "TUD-Stadtmitte", tmp_path / "TUD")
     code, out, err = track("TUD", "--out", "out", "--pixels", "false", config=None)
     assert code == 0, err

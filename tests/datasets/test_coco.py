@@ -141,10 +141,10 @@ def test_mistakes_are_named(tmp_path, content, message):
 
 def test_what_is_no_json_is_named_by_line(tmp_path):
     (tmp_path / "a.json").write_text('{"images": [],\n"annotations" []}')
-    with pytest.raises(ValueError, match=r"a\.json, line 2: not JSON"):
+    with pytest.raises(ValueError, match=r"a\.json, line 2: not readable as JSON"):
         COCO(tmp_path / "a.json").load()
     (tmp_path / "a.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match=r"a\.json: not text"):
+    with pytest.raises(ValueError, match=r"a\.json is not readable as text"):
         COCO(tmp_path / "a.json").load()
 
 

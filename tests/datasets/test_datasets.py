@@ -7,7 +7,8 @@ import pytest
 from jsonargparse import ArgumentParser
 
 import mixer_torch.datasets
-from mixer_torch.datasets.base import Dataset, find
+from mixer_torch.datasets.base import Dataset
+from mixer_torch.io.files import find
 
 
 @pytest.mark.parametrize("name", mixer_torch.datasets.__all__)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from mixer_torch.boxes import corners, foot_points
 from mixer_torch.datasets import MOTChallenge
 from mixer_torch.datasets.calibration import read_calibration
-from mixer_torch.datasets.motchallenge import corners, foot_points, read_truth
+from mixer_torch.io.motchallenge import read_truth
 
 PLANE = np.array([[40.0, 10, 300], [2, -5, 200], [0.01, -0.08, 1]])
 """From metres on the ground to pixels."""
@@ -115,7 +116,7 @@ def test_positions_of_a_sequence(tmp_path):
 def test_tud_stadtmitte(real_data):
     folder = real_data / "mot15" / "TUD-Stadtmitte"
     rows = read_truth(folder / "gt" / "gt.txt")
-    place = read_calibration(folder / "gt" / "gt.txt").to_ground(foot_points(corners(rows)))
+    place = read_calibration(folder / "gt" / "gt.txt").to_ground(foot_points(corners(rows[:, 2:6])))
     distance = np.linalg.norm(place - rows[:, 7:9], axis=1)
     assert np.median(distance) < 0.06
     assert (distance < 0.3).mean() > 0.99

@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixer_torch.boxes import corners, foot_points
 from mixer_torch.datasets.calibration import (
     Homography,
     Tsai,
     find_calibration,
     read_calibration,
 )
-from mixer_torch.datasets.motchallenge import corners, foot_points, read_truth
+from mixer_torch.io.motchallenge import read_truth
 
 CAMERA = Tsai(
     focal=5.5, kappa1=5e-3, cx=324.0, cy=282.0, sx=1.09, dpx=5.1e-3, dpy=4.6e-3,
@@ -131,7 +132,7 @@ def test_find_calibration(tmp_path):
 def test_tsai_against_true_ground_positions(real_data):
     folder = real_data / "mot15" / "PETS09-S2L1"
     truth = read_truth(folder / "gt" / "gt.txt")
-    ground = find_calibration(folder).to_ground(foot_points(corners(truth)))
+    ground = find_calibration(folder).to_ground(foot_points(corners(truth[:, 2:6])))
     distance = np.linalg.norm(ground - truth[:, 7:9], axis=1)
     assert np.median(distance) < 0.05
     assert distance.max() < 0.25

@@ -105,7 +105,7 @@ def test_an_interrupted_writer_leaves_what_was_there(tmp_path, monkeypatch):
 
     def interrupted(*columns, strict):
         yield next(zip(*columns, strict=strict))
-        assert [file.name for file in tmp_path.iterdir() if file != path] == ["result.txt.partial"]
+        assert [file.name for file in tmp_path.iterdir() if file != path] == [".result.partial.txt"]
         raise Stop
 
     monkeypatch.setattr("mixer_torch.io.mot_tracks.zip", interrupted, raising=False)

@@ -9,6 +9,7 @@ from mixer_torch.affinity import Affinity
 from mixer_torch.association import Association, Status
 from mixer_torch.commands.text import result_table
 from mixer_torch.fusion import LinearFusion
+from mixer_torch.io.files import write_json
 from mixer_torch.io.results import (
     COLUMNS,
     Result,
@@ -16,7 +17,6 @@ from mixer_torch.io.results import (
     read_labels,
     staged,
     write_associations,
-    write_json,
     write_tables,
     write_tracks,
 )

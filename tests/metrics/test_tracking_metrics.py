@@ -1,18 +1,12 @@
-import sys
 from itertools import combinations, permutations
 
 import numpy as np
 import pytest
 
-from mixer_torch.boxes import match_boxes
-from mixer_torch.datasets.motchallenge import corners, read_table, read_truth
-from mixer_torch.metrics.tracking import (
-    evaluate_sequences,
-    evaluate_tracks,
-    match,
-    similarity,
-)
-from mixer_torch.tracking import Tracks
+from mixer_torch.boxes import assign, corners, iou, match_boxes
+from mixer_torch.io.motchallenge import read_table, read_truth
+from mixer_torch.metrics.tracking import evaluate_sequences, evaluate_tracks
+from mixer_torch.tracks import Tracks
 
 RATIOS = {
     "HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA", "IDF1", "IDP", "IDR",
@@ -134,7 +128,7 @@ def test_nothing_found_and_nothing_there():
 def test_idf1_is_that_of_the_best_of_all_pairings_of_identities(seed):
     result, truth = scene(seed)
     both = np.zeros((4, 4), dtype=int)
-    for i, j in np.argwhere(similarity(truth.box, result.box) >= 0.5):
+    for i, j in np.argwhere(iou(truth.box, result.box) >= 0.5):
         if truth.frame[i] == result.frame[j]:
             both[truth.identity[i], result.identity[j]] += 1
     best = max(both[range(1, 4), list(order)].sum() for order in permutations(range(1, 4)))
@@ -155,7 +149,7 @@ def clear_by_enumeration(result, truth):
         true, found = truth.select(truth.frame == frame), result.select(result.frame == frame)
         if not (len(true) and len(found)):
             continue
-        overlap = similarity(true.box, found.box)
+        overlap = iou(true.box, found.box)
         allowed = [(i, j) for i, j in np.argwhere(overlap >= 0.5)]
         ways = [
             way
@@ -215,13 +209,13 @@ def test_boxes_without_area_are_like_nothing():
     box = np.array([[0, 0, 10, 10], [3, 3, 3, 3], [5, 5, 4, 4.0]])
     expected = np.zeros((3, 3))
     expected[0, 0] = 1
-    np.testing.assert_array_equal(similarity(box, box), expected)
+    np.testing.assert_array_equal(iou(box, box), expected)
 
 
 def test_matches_are_of_greatest_total_overlap():
-    row, column = match(np.array([[0.9, 0.8], [0.8, 0.4]]), 0.5)
+    row, column = assign(np.array([[0.9, 0.8], [0.8, 0.4]]), 0.5)
     assert list(zip(row, column, strict=True)) == [(0, 1), (1, 0)]
-    assert not len(match(np.zeros((2, 0)), 0.5)[0])
+    assert not len(assign(np.zeros((2, 0)), 0.5)[0])
 
 
 @pytest.mark.parametrize(
@@ -243,15 +237,124 @@ def test_an_overlap_out_of_range_is_named(min_overlap):
         evaluate_tracks(NOTHING, NOTHING, min_overlap)
 
 
-def test_nothing_is_printed(capsys):
-    evaluate_tracks(*scene(0))
-    assert capsys.readouterr() == ("", "")
+def with_trackeval(results, truths, min_overlap=0.5):
+    """What the package trackeval finds, each sequence and all together."""
+    metrics = pytest.importorskip("trackeval.metrics")
+    options = {"THRESHOLD": min_overlap, "PRINT_CONFIG": False}
+    scorers = {
+        metrics.HOTA(): HOTA,
+        metrics.Identity(options): IDENTITY,
+        metrics.CLEAR(options): CLEAR,
+    }
+    found = {name: {} for name in [*truths, "combined"]}
+    for scorer, names in scorers.items():
+        each = {
+            name: scorer.eval_sequence(timesteps(results[name], truths[name])) for name in truths
+        }
+        for name, of_one in {**each, "combined": scorer.combine_sequences(each)}.items():
+            for key, field in names.items():
+                value = float(np.mean(of_one[field]))
+                found[name][key] = value if key in COUNTS else 100 * value
+    return found
 
 
-def test_without_trackeval_it_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "trackeval.metrics", None)
-    with pytest.raises(ImportError, match=r'pip install "mixer-torch\[tracking\]"'):
-        evaluate_tracks(NOTHING, NOTHING)
+HOTA = dict(zip(*[("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")] * 2))  # noqa: B905
+IDENTITY = {"IDF1": "IDF1", "IDP": "IDP", "IDR": "IDR"}
+CLEAR = {"MOTA": "MOTA", "MOTP": "MOTP", "TP": "CLR_TP", "FP": "CLR_FP", "FN": "CLR_FN"}
+CLEAR |= {name: name for name in ("IDSW", "Frag", "MT", "PT", "ML")}
+
+
+def timesteps(result, truth):
+    """What trackeval's metrics ask for: identities from 0 and similarities, step by step."""
+    steps = sorted({*zip(truth.camera, truth.frame), *zip(result.camera, result.frame)})  # noqa: B905
+    data = {"num_timesteps": len(steps)}
+    for name, tracks in (("gt", truth), ("tracker", result)):
+        unique, identity = np.unique(tracks.identity, return_inverse=True)
+        rows = [(tracks.camera == camera) & (tracks.frame == frame) for camera, frame in steps]
+        data[f"num_{name}_ids"], data[f"num_{name}_dets"] = len(unique), len(tracks)
+        data[f"{name}_ids"] = [identity[row] for row in rows]
+        data[name] = [tracks.box[row] for row in rows]
+    data["similarity_scores"] = [
+        iou(a, b) for a, b in zip(data["gt"], data["tracker"], strict=True)
+    ]
+    return data
+
+
+def agree(results, truths, min_overlap=0.5):
+    expected = with_trackeval(results, truths, min_overlap)
+    found = evaluate_sequences(results, truths, min_overlap)
+    for name, one in {**found["sequences"], "combined": found["combined"]}.items():
+        assert {key: one[key] for key in expected[name]} == pytest.approx(
+            expected[name], rel=1e-9, abs=1e-9
+        ), name
+
+
+def disturbed(seed):
+    """A result and a truth that differ by all kinds of errors, more or less of each."""
+    random = np.random.default_rng(seed)
+    objects, frames = random.integers(0, 12), random.integers(1, 30)
+    rate = random.uniform(0, 0.5, size=6)
+    whole = random.random() < 0.3  # boxes of whole pixels overlap equally now and then
+    place = random.uniform(0, 60, size=(objects, 2))
+    truth, result, given = [], [], np.arange(1, objects + 1)
+    for frame in range(frames):
+        place += random.normal(size=place.shape)
+        if random.random() < rate[0]:
+            given = random.permutation(given)  # switches
+        if random.random() < rate[1] and objects:
+            given[random.integers(objects)] += objects  # a new identity
+        for k in range(objects):
+            size = random.uniform(8, 20, size=2)
+            box = np.array([*place[k], *(place[k] + size)])
+            seen = box + random.normal(size=4) * 4 * rate[2]
+            camera = frame % 2 if rate[5] < 0.1 else 0
+            if random.random() > rate[3]:
+                truth.append((frame, k + 1, camera, *(box.round() if whole else box)))
+            if random.random() > rate[4]:
+                result.append((frame, given[k], camera, *(seen.round() if whole else seen)))
+        for k in range(random.poisson(2 * rate[5])):  # clutter
+            box = np.append(corner := random.uniform(0, 60, size=2), corner + 10)
+            result.append((frame, 1000 + k, frame % 2 if rate[5] < 0.1 else 0, *box))
+
+    def made(rows):
+        table = np.array(rows).reshape(-1, 7)
+        whole = table[:, :3].astype(int)
+        return Tracks(whole[:, 0], whole[:, 1], table[:, 3:], camera=whole[:, 2])
+
+    return made(result), made(truth)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_tracks_with_all_kinds_of_errors_have_the_figures_of_trackeval(seed):
+    results, truths = zip(*(disturbed(3 * seed + k) for k in range(3)), strict=True)
+    names = ("a", "b", "c")
+    agree(
+        dict(zip(names, results, strict=True)),
+        dict(zip(names, truths, strict=True)),
+        (0.5, 0.3, 0.75)[seed % 3],
+    )
+
+
+def test_nothing_found_or_nothing_there_has_the_figures_of_trackeval():
+    some = tracks((1, 1, 0), (2, 1, 0), (2, 3, 0))
+    for result in (NOTHING, some):
+        for truth in (NOTHING, some):
+            agree({"a": result, "b": some}, {"a": truth, "b": some})
+
+
+@pytest.mark.real_data
+def test_real_sequences_have_the_figures_of_trackeval(real_data):
+    results, truths = {}, {}
+    for folder in sorted((real_data / "mot15").iterdir()):
+        rows, truth = read(folder)
+        mine, theirs = match_boxes(
+            rows[:, 0], corners(rows[:, 2:6]), truth[:, 0], corners(truth[:, 2:6])
+        )
+        rows[:, 1] = np.arange(len(rows)) % 50 + 1000  # clutter in short pieces
+        rows[mine, 1] = truth[theirs, 1] + 100 * (rows[mine, 0] // 40 % 2)  # switches
+        _, first = np.unique(rows[:, :2], axis=0, return_index=True)
+        results[folder.name], truths[folder.name] = as_tracks(rows[first]), as_tracks(truth)
+    agree(results, truths)
 
 
 def read(folder):
@@ -260,7 +363,7 @@ def read(folder):
 
 
 def as_tracks(rows):
-    return Tracks(rows[:, 0].astype(int), rows[:, 1].astype(int), corners(rows))
+    return Tracks(rows[:, 0].astype(int), rows[:, 1].astype(int), corners(rows[:, 2:6]))
 
 
 @pytest.mark.real_data
@@ -268,7 +371,9 @@ def test_the_truth_given_to_the_detections_has_the_known_figures(real_data):
     results, truths = {}, {}
     for folder in sorted((real_data / "mot15").iterdir()):
         rows, truth = read(folder)
-        mine, theirs = match_boxes(rows[:, 0], corners(rows), truth[:, 0], corners(truth))
+        mine, theirs = match_boxes(
+            rows[:, 0], corners(rows[:, 2:6]), truth[:, 0], corners(truth[:, 2:6])
+        )
         rows[mine, 1] = truth[theirs, 1]
         results[folder.name], truths[folder.name] = as_tracks(rows[mine]), as_tracks(truth)
     metrics = evaluate_sequences(results, truths)["combined"]
@@ -290,7 +395,7 @@ def test_sort_has_the_known_figures(real_data):
         for frame in range(1, int(truth[:, 0].max()) + 1):
             now = detections[detections[:, 0] == frame]
             seen = supervision.Detections(
-                corners(now).astype(np.float32), confidence=now[:, 6].astype(np.float32)
+                corners(now[:, 2:6]).astype(np.float32), confidence=now[:, 6].astype(np.float32)
             )
             found = tracker.update(seen)
             known = found.tracker_id >= 0

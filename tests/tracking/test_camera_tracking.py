@@ -146,7 +146,6 @@ def windowed(observations, truth, left, top, width=480, height=360):
 @pytest.mark.real_data
 def test_a_moving_window_on_real_people(real_data):
     """A pan of 60 pixels and 2 seconds, shaken by 2 pixels: identities survive with pixels."""
-    pytest.importorskip("trackeval")
     from mixer_torch.metrics.tracking import evaluate_sequences
 
     folder = real_data / "mot15" / "TUD-Stadtmitte"

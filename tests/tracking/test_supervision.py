@@ -6,13 +6,13 @@ import torch
 from drawn_tracks import assert_same, drawn_tracks
 from hypothesis import given
 
-from mixer_torch.io.tracks import (
+from mixer_torch.observations import Observations
+from mixer_torch.tracking import Tracks
+from mixer_torch.tracking.supervision import (
     from_supervision,
     observations_from_supervision,
     to_supervision,
 )
-from mixer_torch.observations import Observations
-from mixer_torch.tracking import Tracks
 
 supervision = pytest.importorskip("supervision")
 BOX = [[0, 0, 1, 1], [1, 1, 2, 2], [2, 2, 3, 3.5]]

@@ -3,14 +3,13 @@
 import pytest
 import torch
 
-from mixer_torch.datasets import Tracked
 from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
 from mixer_torch.scorers import Motion, Tracklet
 from mixer_torch.scoring import score
 from mixer_torch.tracking import Tracker
-from mixer_torch.tracking.tracked import places
+from mixer_torch.tracking.tracked import Tracked, places
 from mixer_torch.tracking.tracklets import TRACKLET_FEATURES
 
 

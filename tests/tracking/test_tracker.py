@@ -198,7 +198,6 @@ def test_boxes_have_to_be_finite():
 @pytest.mark.real_data
 def test_better_than_the_trackers_of_today(real_data):
     """Identities at least as good as the targets, on the shorter two of the real sequences."""
-    pytest.importorskip("trackeval")
     from mixer_torch.datasets import MOTChallenge
     from mixer_torch.io.motchallenge import read_truth
     from mixer_torch.metrics.tracking import evaluate_tracks
