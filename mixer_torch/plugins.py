@@ -97,7 +97,11 @@ def everything() -> dict[str, list[Member]]:
 
     As this imports them, jsonargparse then resolves their bare class names.
     """
-    return {kind.name: members(kind) for kind in KINDS}
+    installed = entry_points()
+    return {
+        kind.name: members(kind, list(installed.select(group=f"mixer_torch.{kind.name}")))
+        for kind in KINDS
+    }
 
 
 def near(name: str) -> str:

@@ -33,7 +33,7 @@ def test_every_folder_of_code_is_packaged_under_one_name():
     folders = {
         str(file.parent.relative_to(ROOT)).replace("/", ".")
         for top in TOP
-        for file in (ROOT / top).rglob("__init__.py")
+        for file in (ROOT / top).rglob("*.py")
         if not any(parent.is_symlink() for parent in file.parents)
     }
     elsewhere = {folder: name for name, folder in settings["package-dir"].items()}

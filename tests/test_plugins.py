@@ -1,4 +1,4 @@
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 
@@ -98,6 +98,6 @@ def test_what_is_near_to_a_name_that_will_not_do(name, said):
 
 
 def test_an_announced_class_that_does_not_load_says_why(announced, monkeypatch):
-    points = [announced("no_such_module:Depth")]
-    monkeypatch.setattr("mixer_torch.plugins.entry_points", lambda group: points)
+    points = EntryPoints([announced("no_such_module:Depth")])
+    monkeypatch.setattr("mixer_torch.plugins.entry_points", lambda: points)
     assert near("Depth").startswith("'Depth' does not load: ModuleNotFoundError: No module named")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from mixer_torch.extras import require
 from mixer_torch.observations import Images, Observations
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.camera_path import CameraPath, accumulated, frames_and_cameras
@@ -176,7 +177,7 @@ class CameraMotion:
         shift: Float64[np.ndarray, " 2"],
     ) -> Float64[np.ndarray, "2 3"] | None:
         """The similarity that enough corners agree with, looked for around a shift."""
-        import cv2
+        cv2 = require("cv2", extra="vision")
 
         a, b = followed(before, after, corners, shift)
         if len(a) < self.min_points:
@@ -210,7 +211,7 @@ class Picture:
         cls, frame: UInt8[np.ndarray, "h w 3"], box: Float64[np.ndarray, "n 4"], width: int
     ) -> Picture:
         """The picture of an RGB frame with boxes x1 y1 x2 y2; a box with NaN hides nothing."""
-        import cv2
+        cv2 = require("cv2", extra="vision")
 
         size = np.array([frame.shape[1], frame.shape[0]], dtype=np.float64)
         grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
@@ -235,7 +236,7 @@ class Picture:
 
 def resting_corners(picture: Picture, count: int) -> Float64[np.ndarray, "n 2"]:
     """The best corners outside of boxes, pixels of the picture, so many at most."""
-    import cv2
+    cv2 = require("cv2", extra="vision")
 
     found = cv2.goodFeaturesToTrack(picture.grey, count, QUALITY, SPACING, mask=picture.rests)
     return np.empty((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
@@ -246,7 +247,7 @@ def whole_shift(before: Picture, after: Picture) -> Float64[np.ndarray, " 2"]:
 
     A shift of up to half of the picture is seen, but no turn, and people count as what rests does.
     """
-    import cv2
+    cv2 = require("cv2", extra="vision")
 
     window = cv2.createHanningWindow(before.grey.shape[::-1], cv2.CV_32F)
     first, second = (picture.grey.astype(np.float32) for picture in (before, after))
@@ -270,7 +271,7 @@ def followed(
         corners: Of the one before, in pixels of the picture.
         shift: By which they are first looked for.
     """
-    import cv2
+    cv2 = require("cv2", extra="vision")
 
     found, good, _ = cv2.calcOpticalFlowPyrLK(
         before.grey,

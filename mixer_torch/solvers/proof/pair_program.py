@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from mixer_torch.extras import require
 from mixer_torch.solvers.proof.cuts import Cuts, rows_of
 
 TOLERANCE = 1e-9
@@ -49,8 +50,7 @@ class PairProgram:
     """
 
     def __init__(self, cost: Float64[np.ndarray, "n n"], apart: Bool[np.ndarray, "n n"]) -> None:
-        import highspy  # here, so that all that needs no linear program works without it
-
+        highspy = require("highspy", extra="exact")
         n = len(cost)
         self.first, self.second = np.nonzero(np.triu(~apart, 1))
         self.cost = cost[self.first, self.second]
