@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Int64, UInt8
 from torch import Tensor
 
+from mixer_torch.extras import require
 from mixer_torch.io.files import load_npz, save_npz
 
 FORMAT = "mixer-torch observations 1"
@@ -49,7 +50,7 @@ class FolderFrames(Sequence[np.ndarray]):
         return len(self.paths)
 
     def __getitem__(self, index: Any) -> Any:
-        import cv2
+        cv2 = require("cv2", extra="vision")
 
         data = np.fromfile(self.paths[index], dtype=np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
@@ -73,7 +74,7 @@ class VideoFrames(Sequence[np.ndarray]):
     """
 
     def __init__(self, path: str | Path) -> None:
-        import cv2
+        cv2 = require("cv2", extra="vision")
 
         self.path = Path(path)
         if not self.path.is_file():
@@ -88,7 +89,7 @@ class VideoFrames(Sequence[np.ndarray]):
         return self._length
 
     def __getitem__(self, index: Any) -> Any:
-        import cv2
+        cv2 = require("cv2", extra="vision")
 
         if not 0 <= index < self._length:
             raise IndexError(f"frame {index} of {self.path}, which has {self._length}")

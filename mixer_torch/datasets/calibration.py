@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from mixer_torch.datasets.fitted_ground import fit_homography, is_truth
+from mixer_torch.extras import require
 from mixer_torch.io.files import check_file, read_json, read_text
 
 MILLIMETRES = 1000.0
@@ -242,7 +243,7 @@ class Pinhole:
         """Where the ray through each pixel meets z = 0, metres; NaN where it does not."""
         points = np.asarray(points, dtype=np.float64)
         if self.distortion and len(points):
-            import cv2
+            cv2 = require("cv2", extra="vision")
 
             lens = np.array(self.distortion)
             points = cv2.undistortPoints(points[:, None], self.intrinsics, lens)[:, 0]

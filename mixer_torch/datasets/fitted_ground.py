@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from mixer_torch.boxes import corners, foot_points
+from mixer_torch.extras import require
 from mixer_torch.io.files import read_text
 from mixer_torch.io.motchallenge import BOX, read_truth
 
@@ -79,7 +80,7 @@ def _agreed(
     points: Float64[np.ndarray, "n 2"], ground: Float64[np.ndarray, "n 2"]
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """The homography that most points agree with, None where none is found, and which do."""
-    import cv2
+    cv2 = require("cv2", extra="vision")
 
     matrix, near = cv2.findHomography(points, ground, cv2.RANSAC, NEAR)
     if matrix is None:
