@@ -14,7 +14,6 @@ from mixer_torch.fusion import Fusion
 from mixer_torch.solvers.problem import Problem, problem_of
 from mixer_torch.solvers.proof.branching import dense
 from mixer_torch.solvers.proof.dual_ascent import ascend
-from mixer_torch.solvers.proof.parts import graph_of, induced
 from mixer_torch.solvers.search.decomposition import decompose
 from mixer_torch.solvers.search.graph import Graph
 
@@ -45,10 +44,10 @@ def lower_bound(
         raise ValueError(f"time_limit: expected seconds >= 0, got {time_limit}")
     problem = problem_of(problem, fusion) if isinstance(problem, Affinity) else problem
     deadline = time.perf_counter() + time_limit
-    graph = graph_of(problem)
+    graph = Graph.from_problem(problem)
     parts = decompose(graph)
     members = np.split(parts.order, parts.start[1:-1])
-    return bound_of_parts([induced(graph, own) for own in members if len(own) > 1], deadline)
+    return bound_of_parts([graph.subgraph(own) for own in members if len(own) > 1], deadline)
 
 
 def bound_of_parts(parts: Iterable[Graph], deadline: float) -> float:
@@ -69,9 +68,9 @@ def bound_of_parts(parts: Iterable[Graph], deadline: float) -> float:
 
 def bound_of(graph: Graph, deadline: float) -> float:
     """Lower bound of one part by dual ascent."""
-    cost, apart = dense(graph)
+    cost, conflict = dense(graph)
     scale = float(np.abs(cost).max())
-    return ascend(cost / scale, apart, deadline).bound * scale if scale else 0.0
+    return ascend(cost / scale, conflict, deadline).bound * scale if scale else 0.0
 
 
 def split(graph: Graph, size: int) -> tuple[list[Graph], float]:
@@ -84,8 +83,7 @@ def split(graph: Graph, size: int) -> tuple[list[Graph], float]:
     order = breadth_first_order(attracts, 0, return_predecessors=False)
     block = np.empty(n, np.int64)
     block[order] = np.arange(n) * (-(-n // size)) // n
-    owner = np.repeat(np.arange(n), np.diff(graph.start))
-    between = (block[owner] != block[graph.neighbour]) & (owner < graph.neighbour)
+    between = (block[graph.near] != block[graph.neighbour]) & (graph.near < graph.neighbour)
     outside = float(np.minimum(graph.cost[between], 0).sum())
-    pieces = [induced(graph, np.flatnonzero(block == b)) for b in range(int(block.max()) + 1)]
+    pieces = [graph.subgraph(np.flatnonzero(block == b)) for b in range(int(block.max()) + 1)]
     return pieces, outside

@@ -53,7 +53,7 @@ class Clear(Synchronization):
 
 
 def pivots(rows: Float[Tensor, "m k"]) -> Int64[Tensor, " k"]:
-    """K rows as orthogonal as a greedy choice finds them, the first row first."""
+    """Step 3: the indices of the k pivots."""
     product = (rows @ rows.T).abs()
     chosen = torch.zeros(rows.shape[1], dtype=torch.int64, device=rows.device)
     overlap = product[0].clone()
@@ -66,7 +66,7 @@ def pivots(rows: Float[Tensor, "m k"]) -> Int64[Tensor, " k"]:
 
 
 def assign(distance: Float[Tensor, "m k"], view: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
-    """The column of each row, all different within a view, of the least total distance."""
+    """Step 4: the column of each row, all different within a view, of the least total distance."""
     table, views = distance.cpu().double().numpy(), view.cpu().numpy()
     labels = np.zeros(len(views), dtype=np.int64)
     for value in np.unique(views):

@@ -1,4 +1,4 @@
-"""Eigendecomposition that does not give up."""
+"""Eigendecomposition that succeeds where LAPACK's fails: for equal eigenvalues."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-SPLIT = 1e-9
+SPLIT = 1e-9  # of the largest entry: far above the rounding of float64, below that of float32
 
 
 def eigh(
@@ -15,16 +15,16 @@ def eigh(
     """Eigenvalues, ascending, and eigenvectors of symmetric matrices, on their device.
 
     LAPACK's divide and conquer does not converge, or ends in NaN, for some matrices of few
-    different entries, which have eigenvalues many times over; matches and semantic colours make
-    such matrices. Those are decomposed again in float64, the diagonal moved by a billionth of the
-    largest entry to set equal eigenvalues apart.
+    different entries, which have many equal eigenvalues; matches and semantic colours make such
+    matrices. Those are decomposed again in float64, with a ramp of a billionth of the largest entry
+    added to the diagonal, which separates equal eigenvalues.
     """
     try:
         values, vectors = torch.linalg.eigh(matrix)
         if bool(values.isfinite().all() & vectors.isfinite().all()):
             return values, vectors
     except torch.linalg.LinAlgError:
-        pass  # as where it ends in NaN
+        pass  # the same remedy as for NaN
     finer = matrix.double()
     ramp = torch.linspace(0, SPLIT, matrix.shape[-1], dtype=finer.dtype, device=finer.device)
     largest = finer.abs().amax(dim=(-2, -1), keepdim=True)[..., 0]

@@ -13,7 +13,6 @@ from mixer_torch.solvers.mixer import Mixer
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.proof.branching import PROVEN, BranchAndCut, Proof
-from mixer_torch.solvers.proof.parts import graph_of, induced
 from mixer_torch.solvers.search.decomposition import cut_along, decompose
 from mixer_torch.solvers.search.graph import Graph
 
@@ -54,14 +53,14 @@ class Exact(Solver):
 
     def run(self, problem: Problem) -> Solution:
         deadline = time.perf_counter() + self.time_limit
-        graph = graph_of(problem)
+        graph = Graph.from_problem(problem)
         parts = decompose(graph)
         labels = cut_along(self._warm_start(problem), parts)
         begin = graph.objective(labels)
         proofs = []
         for p in np.argsort(np.diff(parts.start), kind="stable"):
             members = parts.order[parts.start[p] : parts.start[p + 1]]
-            part = induced(graph, members)
+            part = graph.subgraph(members)
             proof = prove(part, labels[members], deadline)
             labels[members] = len(labels) * (1 + p) + proof.labels
             proofs.append(proof)

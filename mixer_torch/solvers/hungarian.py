@@ -1,10 +1,15 @@
-"""Linear assignment from each view to the next, chained: what most trackers do."""
+"""Linear assignment from each view to the next, chained, as most trackers do."""
 
 from __future__ import annotations
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.problem import Problem, Solution, Solver
-from mixer_torch.solvers.synchronization import best_matches, labels_of_links
+from mixer_torch.solvers.synchronization import (
+    best_matches,
+    between_consecutive_views,
+    check_threshold,
+    labels_of_links,
+)
 
 
 class Hungarian(Solver):
@@ -27,13 +32,10 @@ class Hungarian(Solver):
     """
 
     def __init__(self, threshold: float = 0.5) -> None:
-        if not 0 <= threshold <= 1:
-            raise ValueError(f"threshold: expected a number in [0, 1], got {threshold}")
-        self.threshold = threshold
+        self.threshold = check_threshold(threshold)
 
     def run(self, problem: Problem) -> Solution:
-        first, second = problem.view[problem.pairs]
-        near = (first - second).abs() == 1
+        near = between_consecutive_views(problem)
         gain = problem.score[near] - self.threshold
         matches = best_matches(problem.pairs[:, near], gain, problem.view)
         return Solution(Status.CONVERGED, labels=labels_of_links(matches, len(problem)))

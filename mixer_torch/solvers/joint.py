@@ -19,8 +19,8 @@ from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
 from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.problem import Problem, Solution
-from mixer_torch.solvers.refinement import Effort, refine_parts, told
-from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose, part_costs
+from mixer_torch.solvers.refinement import Effort, refine_parts, summary
+from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy
@@ -120,14 +120,14 @@ class Joint:
         if end - first == len(self.graph):
             return self.graph, self.parts
         edges = slice(*self.graph.start[[first, end]])
-        tokens = slice(*self.graph.token_start[[first, end]])
-        token = self.graph.token[tokens]
+        groups = slice(*self.graph.group_start[[first, end]])
+        group = self.graph.group[groups]
         graph = Graph(
             self.graph.start[first : end + 1] - edges.start,
             self.graph.neighbour[edges] - np.int32(first),
             self.graph.cost[edges],
-            self.graph.token_start[first : end + 1] - tokens.start,
-            token - token.min() if len(token) else token,
+            self.graph.group_start[first : end + 1] - groups.start,
+            group - group.min() if len(group) else group,
         )
         part = self.parts.part[first:end]  # a problem's parts are numbered one after the other
         start = self.parts.start[part.min() : part.max() + 2]
@@ -136,7 +136,7 @@ class Joint:
 
     def objective(self, label: np.ndarray) -> np.ndarray:
         """(parts,) cost of the pairs inside clusters, each of which lies in one part."""
-        return part_costs(self.graph, label, self.parts.part, len(self.parts))
+        return self.graph.objective_by_part(label, self.parts.part, len(self.parts))
 
     def relax(
         self,
@@ -240,7 +240,7 @@ def _stats(
         for stats, own in zip(all_stats, value.tolist(), strict=True):
             stats[f"objective_{name}"] = own
     for stats, own in zip(all_stats, course, strict=True):
-        stats |= told(own)
+        stats |= summary(own)
         stats["history"].append(stats["objective_refined"])
     return all_stats
 

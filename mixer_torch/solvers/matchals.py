@@ -10,6 +10,7 @@ from mixer_torch.pairs import within_view
 from mixer_torch.solvers.problem import Problem, Solution, Solver
 from mixer_torch.solvers.synchronization import (
     check_evidence,
+    check_stopping,
     evidence_matrix,
     solution_of_links,
     universe_size,
@@ -56,10 +57,7 @@ class MatchALS(Solver):
     ) -> None:
         if rank is not None and rank < 1:
             raise ValueError(f"rank: expected an integer >= 1 or None, got {rank}")
-        if max_iterations < 1:
-            raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
-        if not tolerance > 0:
-            raise ValueError(f"tolerance: expected a number > 0, got {tolerance}")
+        check_stopping(max_iterations, tolerance)
         self.rank = rank
         self.evidence = check_evidence(evidence)
         self.nuclear = nuclear
@@ -97,8 +95,8 @@ def low_rank_matches(
     tolerance: float,
 ) -> tuple[Float[Tensor, "m m"], int]:
     """The program of :class:`MatchALS` from a start A = factor: X, and the iterations it took."""
-    m, step, iteration = len(view), 64.0, 0
-    apart = view[:, None] == view
+    m, step, iteration = len(view), 64.0, 0  # the authors' first step
+    same_view = view[:, None] == view
     low_rank, bounded, dual = weight, weight, torch.zeros_like(weight)
     while iteration < max_iterations:
         iteration += 1
@@ -107,12 +105,13 @@ def low_rank_matches(
         other = least_squares(factor, target.T, nuclear / step)
         factor = least_squares(other, target, nuclear / step)
         low_rank = factor @ other.T
-        bounded = (low_rank + dual / step).masked_fill(apart, 0).fill_diagonal_(1).clamp(0, 1)
+        bounded = (low_rank + dual / step).masked_fill(same_view, 0).fill_diagonal_(1).clamp(0, 1)
         dual = dual + step * (low_rank - bounded)
         primal = float((low_rank - bounded).norm()) / m
         change = step * float((low_rank - previous).norm()) / m
         if max(primal, change) < tolerance:
             break
+        # the residuals are kept within a factor of ten (Boyd et al. 2011, 3.4.1)
         step *= 2.0 if primal > 10 * change else 0.5 if change > 10 * primal else 1.0
     return (low_rank + low_rank.T) / 2, iteration
 

@@ -1,4 +1,4 @@
-"""MatchEIG: a closed form for partial matches, thresholded between each two views."""
+"""MatchEIG: a low-rank approximation of the matches, made one-to-one between each two views."""
 
 from __future__ import annotations
 
@@ -7,11 +7,7 @@ import torch
 from mixer_torch.pairs import within_view
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.problem import Problem, Solution
-from mixer_torch.solvers.synchronization import (
-    Synchronization,
-    best_matches,
-    solution_of_links,
-)
+from mixer_torch.solvers.synchronization import Synchronization, best_matches, solution_of_links
 
 
 class MatchEIG(Synchronization):
@@ -23,7 +19,7 @@ class MatchEIG(Synchronization):
     the magnitudes of the eigenvalues, entries below a threshold are dropped, and each block (i, j)
     is projected on the partial permutations by linear assignment.
 
-    Blocks are projected apart, so the matches are one-to-one but **need not be cycle consistent**:
+    Blocks are projected one by one, so the matches are one-to-one but **need not be cycle consistent**:
     there are labels where they are, and only links where they are not.
 
     Needs k: estimated by :func:`~mixer_torch.solvers.synchronization.universe_size` unless given.
@@ -43,7 +39,7 @@ class MatchEIG(Synchronization):
         super().__init__(universe, evidence, threshold)
 
     def run(self, problem: Problem) -> Solution:
-        weight, size = self.given(problem)
+        weight, size = self.inputs(problem)
         values, vectors = eigh(weight + torch.eye(len(weight)).to(weight))
         leading = values.abs().argsort(descending=True)[:size]
         root = vectors[:, leading] * values[leading].abs().sqrt()

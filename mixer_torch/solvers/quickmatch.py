@@ -1,4 +1,4 @@
-"""QuickMatch: density ascent with the distinctness rule inside the linkage."""
+"""QuickMatch: quick shift (mode seeking) whose clusters keep observations of a view distinct."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from mixer_torch.association import Status
 from mixer_torch.solvers.problem import Problem, Solution, Solver
+from mixer_torch.solvers.synchronization import evidence_matrix
 
-NEUTRAL = 0.5
-BETWEEN_DISTINCT = math.sqrt(2.0)
+BETWEEN_DISTINCT = math.sqrt(2.0)  # distance of orthogonal unit vectors
 
 
 class QuickMatch(Solver):
@@ -25,11 +25,11 @@ class QuickMatch(Solver):
     4. Clusters: edges of the tree in the order of increasing length; two clusters are merged by an
        edge if they share no view and the edge is shorter than ``ratio`` times the least σ in both.
 
-    The publication works on features. Here there are scores, read as inner products of unit
-    feature vectors: d² = 2 (1 − score), for which observations of one view, which are distinct, are
-    orthogonal. So σ = √2, the pair with nothing to say (0.5) is at √2 · 0.71, and the authors'
-    ratio, 0.67, merges only above a score of 0.55. The rule of step 4 makes every cluster distinct
-    and the answer feasible; soft scores count by their value.
+    The publication works on features. Here scores are read as inner products of unit feature
+    vectors: d² = 2 (1 − score), and observations of one view, which are distinct, as orthogonal
+    ones. So σ = √2, a score of 0.5 is at distance 1 = 0.71 σ, and the authors' ratio of 0.67 merges
+    only above a score of 0.55. By step 4 the answer is always feasible. Soft scores count by their
+    value.
 
     Source: Tron, Zhou, Esteves and Daniilidis, Fast multi-image matching via density-based
     clustering, ICCV 2017.
@@ -56,11 +56,8 @@ class QuickMatch(Solver):
 
 def feature_distance(problem: Problem) -> Float[Tensor, "m m"]:
     """Distance of unit vectors whose inner products are the scores, and 0 within a view."""
-    product = problem.score.new_full((len(problem), len(problem)), NEUTRAL)
-    product[problem.view[:, None] == problem.view] = 0
-    product[problem.pairs[0], problem.pairs[1]] = problem.score
-    product[problem.pairs[1], problem.pairs[0]] = problem.score
-    return (2 * (1 - product.fill_diagonal_(1))).sqrt()
+    product = evidence_matrix(problem, "score").fill_diagonal_(1)
+    return (2 * (1 - product)).sqrt()
 
 
 def density(distance: Float[Tensor, "m m"], width: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
@@ -89,7 +86,7 @@ def merge(
     limit: Float[Tensor, " m"],
     view: Int64[Tensor, " m"],
 ) -> Int64[Tensor, " m"]:
-    """Clusters of the tree: short edges first, none too long for its clusters, no view twice."""
+    """Clusters of the tree: step 4, with ``limit`` the longest edge of each observation."""
     cluster = np.arange(len(parent))
     members = [[a] for a in cluster]
     views = [{value} for value in view.tolist()]

@@ -15,10 +15,15 @@ from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose
 from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
 from mixer_torch.solvers.search.exhaustive import enumerate_parts
 from mixer_torch.solvers.search.graph import Graph, arrays_of, compact, named_by_member
+from mixer_torch.solvers.search.iterated_local_search import (
+    EXHAUSTIVE,
+    GAINS,
+    STATE_SIZE,
+    new_search_state,
+)
+from mixer_torch.solvers.search.iterated_local_search import RESTARTS as RUN
 from mixer_torch.solvers.search.multilevel import refine_large
-from mixer_torch.solvers.search.search import COURSE, ENUMERATED, GAINS, new_course
-from mixer_torch.solvers.search.search import RESTARTS as RUN
-from mixer_torch.solvers.search.subproblem import Names, carriers_of, named, search_region
+from mixer_torch.solvers.search.subproblem import Labelling, search_subproblem
 
 Progress = Callable[[float], None]
 RESTARTS = 400  # of one part at most
@@ -51,12 +56,8 @@ def refine(
     """Better labels, never worse ones.
 
     Each part (:func:`decompose`) of a few nodes is solved by enumeration (:func:`enumerate_parts`).
-    Any other is descended by moves of single nodes, re-matching of one token's carriers, merges and
-    exchanges until none gains. Then, again and again, a random region is reheated (simulated
-    annealing) or taken apart and put together in random order, and descended; the result is kept if
-    it is not worse. A part is left after ``restarts`` of these, or before, where reheats keep
-    coming back to the same clustering, or where nothing can be lower. Parts too large for a matrix
-    go to :func:`refine_large`.
+    Any other is searched by iterated local search (:func:`search`), for at most ``restarts``. Parts
+    too large for a matrix go to :func:`refine_large`.
 
     Args:
         graph: The problem.
@@ -68,7 +69,7 @@ def refine(
 
     Returns:
         Labels (n,) int64, 0.. without holes, and stats: the costs ``start`` and ``objective``,
-        ``parts`` (their number), ``timed_out``, and what :func:`told` tells.
+        ``parts`` (their number), ``timed_out``, and what :func:`summary` tells.
 
     Raises:
         ValueError: The labels are malformed or break a constraint.
@@ -83,23 +84,23 @@ def refine(
     deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
     parts = decompose(graph)
     effort = Effort(restarts, seed, deadline, progress)
-    label, courses, timed_out = refine_parts(graph, parts, labels, effort, np.arange(n))
+    label, states, timed_out = refine_parts(graph, parts, labels, effort, np.arange(n))
     stats = {
         "start": graph.objective(labels),
         "objective": graph.objective(label),
         "parts": len(parts),
         "timed_out": timed_out,
     }
-    return label, stats | told(courses.sum(0))
+    return label, stats | summary(states.sum(0))
 
 
-def told(course: np.ndarray) -> dict[str, Any]:
-    """What the course of a search says of it.
+def summary(state: np.ndarray) -> dict[str, Any]:
+    """What the state of a search says of it.
 
     ``restarts``: how many ran; ``gained``: what each kind of move has lowered the cost by.
     """
-    gained = {name: -float(course[at]) for name, at in GAINS.items()}
-    return {"restarts": int(course[RUN]), "gained": gained}
+    gained = {name: -float(state[at]) for name, at in GAINS.items()}
+    return {"restarts": int(state[RUN]), "gained": gained}
 
 
 def refine_parts(
@@ -117,29 +118,29 @@ def refine_parts(
             does not depend on the others.
 
     Returns:
-        Labels (n,) int64, 0.. without holes, which are not worse; (parts, COURSE) the course of
+        Labels (n,) int64, 0.. without holes, which are not worse; (parts, STATE_SIZE) the state of
         the search of each part; and whether time ran out.
     """
     random = _seeds(effort.seed, key[parts.order[parts.start[:-1]]])
     label = named_by_member(cut_along(labels, parts))
     size = np.diff(parts.start)
-    courses = np.zeros((len(parts), COURSE))
-    courses[:, ENUMERATED] = enumerate_parts(graph, parts, label)
-    arrays, carrier, names = arrays_of(graph), carriers_of(graph), named(graph, label)
+    states = np.zeros((len(parts), STATE_SIZE))
+    states[:, EXHAUSTIVE] = enumerate_parts(graph, parts, label)
+    arrays, members, labelling = arrays_of(graph), graph.members(), Labelling.of(graph, label)
     work, reported = np.cumsum(np.where(size > ENUMERABLE, size, 0)), 0
     for part in np.flatnonzero(size > ENUMERABLE):
         nodes = parts.order[parts.start[part] : parts.start[part + 1]]
         if size[part] > DENSE and not _is_filled(graph, nodes):
-            courses[part] += _search_large(graph, nodes, label, effort, random[part])
-            names = named(graph, label)
+            states[part] += _search_large(graph, nodes, label, effort, random[part])
+            labelling = Labelling.of(graph, label)
         else:
-            courses[part] += _search_small(arrays, carrier, names, nodes, effort, random[part])
+            states[part] += _search_small(arrays, members, labelling, nodes, effort, random[part])
         if effort.progress is not None and work[part] - reported > CHUNK:
             reported = int(work[part])
             effort.progress(reported / int(work[-1]))
     if graph.objective(label) > graph.objective(labels):  # by rounding, where nothing was gained
         label = labels
-    return compact(label), courses, time.perf_counter() > effort.deadline
+    return compact(label), states, time.perf_counter() > effort.deadline
 
 
 def _is_filled(graph: Graph, nodes: np.ndarray) -> bool:
@@ -150,24 +151,26 @@ def _is_filled(graph: Graph, nodes: np.ndarray) -> bool:
 
 def _search_small(
     arrays: tuple[np.ndarray, ...],
-    carrier: tuple[np.ndarray, np.ndarray],
-    names: Names,
+    members: tuple[np.ndarray, np.ndarray],
+    labelling: Labelling,
     nodes: np.ndarray,
     effort: Effort,
     random: np.ndarray,
 ) -> np.ndarray:
-    """Search one part, and look at the clock now and then; returns the course of the search."""
+    """Search one part, and look at the clock now and then; returns the state of the search."""
     most = restarts_of(len(nodes), effort.restarts)
-    course, credit = new_course(effort.restarts), np.zeros(len(nodes))
+    state, confirmed = new_search_state(effort.restarts), np.zeros(len(nodes))
     limit, ended = 0, False
     while not ended and limit < most:
         late = time.perf_counter() > effort.deadline
         limit = limit if late else min(most, limit + max(1, CHUNK // len(nodes)))
-        ended = search_region(arrays, carrier, names, nodes, limit, course, credit, random)
+        ended = search_subproblem(
+            arrays, members, labelling, nodes, limit, state, confirmed, random
+        )
         ended = ended or late
     if most == 0:
-        search_region(arrays, carrier, names, nodes, 0, course, credit, random)
-    return course
+        search_subproblem(arrays, members, labelling, nodes, 0, state, confirmed, random)
+    return state
 
 
 def restarts_of(size: int, restarts: int) -> int:
@@ -181,11 +184,11 @@ def _search_large(
 ) -> np.ndarray:
     own = graph if len(nodes) == len(graph) else graph.subgraph(nodes)
     restarts = -(-effort.restarts // LARGE_SHARE)
-    local, course = refine_large(
+    local, state = refine_large(
         own, compact(label[nodes]), restarts, random, effort.deadline, effort.progress
     )
     label[nodes] = nodes[named_by_member(local)]
-    return course
+    return state
 
 
 def _seeds(seed: int, key: np.ndarray) -> np.ndarray:

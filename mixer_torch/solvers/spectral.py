@@ -9,10 +9,7 @@ from torch import Tensor
 from mixer_torch.association import Status
 from mixer_torch.solvers.eigen import eigh
 from mixer_torch.solvers.problem import Problem, Solution
-from mixer_torch.solvers.synchronization import (
-    Synchronization,
-    greedy_rounding,
-)
+from mixer_torch.solvers.synchronization import Synchronization, greedy_rounding
 
 
 class Spectral(Synchronization):
@@ -41,7 +38,7 @@ class Spectral(Synchronization):
     """
 
     def run(self, problem: Problem) -> Solution:
-        weight, size = self.given(problem)
+        weight, size = self.inputs(problem)
         vectors = embedding(weight, size)
         labels = greedy_rounding(vectors @ vectors.T, problem.view, self.threshold)
         return Solution(Status.CONVERGED, labels=labels, stats={"universe": size})

@@ -1,5 +1,4 @@
-"""What the algorithms of permutation synchronisation share: their input, the size of the universe
-of objects, and the ways from a matrix back to matches.
+"""Shared parts of the comparison algorithms: input, size of the universe, and rounding to matches.
 
 These algorithms know one score a pair, :attr:`Problem.score`, the mean of the modalities' scores,
 and were published for binary matches, for which "not matched" and "nothing known" are both 0. How
@@ -7,10 +6,10 @@ a score becomes an entry of their matrix W is a choice, the same for all of them
 
 - ``"match"``: 1 where the score is above 0.5, else 0. The input that the publications assume.
 - ``"assignment"``: the same, made one-to-one for each two views by linear assignment (the most of
-  score - 0.5), which is how pairwise matches are made where they come from a matcher.
-- ``"attraction"``: max(0, 2 score - 1): soft, and 0 for a pair with nothing to say.
-- ``"score"``: the score as it stands, 0.5 for a pair that is not listed. Algorithms that read
-  W_ab > 0 as evidence of a match are misled by it: it is here to show that.
+  score - 0.5), as a matcher of two views would.
+- ``"attraction"``: max(0, 2 score - 1): soft, and 0 for a score of 0.5.
+- ``"score"``: the score itself, 0.5 for a pair that is not listed. It misleads algorithms that read
+  W_ab > 0 as evidence of a match, and is there to show that.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -33,12 +32,12 @@ Evidence = Literal["match", "assignment", "attraction", "score"]
 
 
 class Synchronization(Solver):
-    """What the spectral algorithms are set by, and the two things that they begin with.
+    """Base class of the spectral algorithms: their settings, and the input that is made of them.
 
     Args:
         universe: The number of objects, None to estimate it from the spectrum.
         evidence: What scores become.
-        threshold: The algorithm's own.
+        threshold: What it is compared with is said by each algorithm.
     """
 
     def __init__(
@@ -48,8 +47,8 @@ class Synchronization(Solver):
         self.evidence = check_evidence(evidence)
         self.threshold = threshold
 
-    def given(self, problem: Problem) -> tuple[Float[Tensor, "m m"], int]:
-        """W, and the number of objects: as set or as estimated, no less than a view has."""
+    def inputs(self, problem: Problem) -> tuple[Float[Tensor, "m m"], int]:
+        """W, and the number of objects, as set or as estimated."""
         weight = evidence_matrix(problem, self.evidence)
         if self.universe is None:
             return weight, universe_size(weight, problem.view)
@@ -70,6 +69,27 @@ def check_universe(universe: int | None) -> int | None:
     if universe is not None and universe < 1:
         raise ValueError(f"universe: expected an integer >= 1 or None, got {universe}")
     return universe
+
+
+def check_threshold(threshold: float) -> float:
+    """ValueError unless it is in [0, 1]."""
+    if not 0 <= threshold <= 1:
+        raise ValueError(f"threshold: expected a number in [0, 1], got {threshold}")
+    return threshold
+
+
+def check_stopping(max_iterations: int, tolerance: float) -> None:
+    """ValueError unless there is an iteration and a positive tolerance."""
+    if max_iterations < 1:
+        raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
+    if not tolerance > 0:
+        raise ValueError(f"tolerance: expected a number > 0, got {tolerance}")
+
+
+def between_consecutive_views(problem: Problem) -> Bool[Tensor, " P"]:
+    """Which pairs are between a view and the next one."""
+    first, second = problem.view[problem.pairs]
+    return (first - second).abs() == 1
 
 
 def evidence_matrix(problem: Problem, evidence: str) -> Float[Tensor, "m m"]:
@@ -106,15 +126,14 @@ def normalized_laplacian(weight: Float[Tensor, "m m"]) -> Float[Tensor, "m m"]:
 def universe_size(weight: Float[Tensor, "m m"], view: Int64[Tensor, " m"]) -> int:
     """How many objects there are: the eigenvalues of the normalised Laplacian below 0.5.
 
-    At least the observations in the largest view, at most all of them. The estimate of Fathian et
-    al. (2020), who handed it to every algorithm in their comparison; so do we.
+    The estimate of Fathian et al. (2020), who gave it to every algorithm in their comparison.
     """
     eigenvalues, _ = eigh(normalized_laplacian(weight))
     return bounded_universe(int((eigenvalues < 0.5).sum()), view)
 
 
 def bounded_universe(size: int, view: Int64[Tensor, " m"]) -> int:
-    """A universe's size between that of the largest view and m."""
+    """The size within its range: the observations of the largest view, to all of them."""
     return min(max(size, int(torch.bincount(view).max())), len(view))
 
 
@@ -131,8 +150,8 @@ def greedy_rounding(
     for seed in np.argsort(views, kind="stable"):
         if labels[seed] >= 0:
             continue
-        open_ = (labels < 0) & (views != views[seed]) & (value[seed] > threshold)
-        candidates = np.flatnonzero(open_)
+        free = (labels < 0) & (views != views[seed]) & (value[seed] > threshold)
+        candidates = np.flatnonzero(free)
         candidates = candidates[np.argsort(-value[seed, candidates], kind="stable")]
         _, first = np.unique(views[candidates], return_index=True)
         labels[candidates[first]] = seed
@@ -148,8 +167,8 @@ def best_matches(
         maximise  sum of gain over the matches
         subject to  each observation has at most one match in each other view
 
-    Pairs that gain nothing are never taken. A pair that competes with no other is taken as it is,
-    so that a linear assignment is solved only where there is a conflict.
+    Pairs that gain nothing are never matched. A pair without a competitor is matched at once, and a
+    linear assignment is solved for the others only.
     """
     a, b = pairs.cpu().numpy()
     value, views = gain.detach().cpu().double().numpy(), view.cpu().numpy()

@@ -1,9 +1,13 @@
-"""The paper's two naïve baselines: every score is taken at its word."""
+"""The paper's two naïve baselines: links are the pairs whose score is above a threshold."""
 
 from __future__ import annotations
 
 from mixer_torch.solvers.problem import Problem, Solution, Solver
-from mixer_torch.solvers.synchronization import solution_of_links
+from mixer_torch.solvers.synchronization import (
+    between_consecutive_views,
+    check_threshold,
+    solution_of_links,
+)
 
 
 class AllPairs(Solver):
@@ -20,9 +24,7 @@ class AllPairs(Solver):
     """
 
     def __init__(self, threshold: float = 0.5) -> None:
-        if not 0 <= threshold <= 1:
-            raise ValueError(f"threshold: expected a number in [0, 1], got {threshold}")
-        self.threshold = threshold
+        self.threshold = check_threshold(threshold)
 
     def run(self, problem: Problem) -> Solution:
         return solution_of_links(problem, problem.pairs[:, problem.score > self.threshold])
@@ -41,6 +43,5 @@ class Consecutive(AllPairs):
     """
 
     def run(self, problem: Problem) -> Solution:
-        first, second = problem.view[problem.pairs]
-        linked = (problem.score > self.threshold) & ((first - second).abs() == 1)
+        linked = (problem.score > self.threshold) & between_consecutive_views(problem)
         return solution_of_links(problem, problem.pairs[:, linked])

@@ -12,9 +12,9 @@ from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers import bounds
 from mixer_torch.solvers.bounds import lower_bound, split
 from mixer_torch.solvers.problem import problem_of
-from mixer_torch.solvers.proof.cuts import Cuts, rows_of, separate
+from mixer_torch.solvers.proof.cuts import Cuts, PairVariables, separate
 from mixer_torch.solvers.proof.dual_ascent import ascend
-from mixer_torch.solvers.proof.parts import graph_of
+from mixer_torch.solvers.search.graph import Graph
 
 
 def test_never_above_the_optimum_and_mostly_at_it():
@@ -53,20 +53,17 @@ def test_every_clustering_fulfils_every_cut():
     rng = np.random.default_rng(2)
     labels = clusterings(7)
     together = (labels[:, :, None] == labels[:, None]).astype(float)
-    pair_index = np.arange(49).reshape(7, 7)
+    variables = PairVariables(np.zeros((7, 7), bool))
+    together = together[:, variables.first, variables.second]
     seen = 0
     for _ in range(30):
         x = rng.random((7, 7)) * (1 - np.eye(7))
         x = np.triu(x) + np.triu(x).T
         cuts = separate(x, 1e-6, 50, starts=7)
-        start, variable, coefficient = rows_of(pair_index, cuts.centre, cuts.start, cuts.member)
-        for k in range(len(cuts)):
-            row = slice(start[k], start[k + 1])
-            flat = together.reshape(len(labels), 49)[:, variable[row]]
-            assert (flat @ coefficient[row]).max() <= 1
-            broken = x.reshape(49)[variable[row]] @ coefficient[row] - 1
-            assert broken == pytest.approx(cuts.violation[k])
-            seen += 1
+        rows = variables.rows(cuts)
+        assert (together @ rows.T).max() <= 1
+        assert rows @ variables.vector(x) - 1 == pytest.approx(cuts.violation)
+        seen += len(cuts)
     assert seen > 100
 
 
@@ -106,7 +103,7 @@ def test_blocks_and_what_lies_between_bound_the_whole(monkeypatch):
     affinity, _ = synthetic(objects=6, views=8, noise=0.3, seed=5)
     problem = problem_of(affinity)
     best = mx.solve(affinity, mx.Exact()).objective
-    whole = graph_of(problem)
+    whole = Graph.from_problem(problem)
     pieces, between = split(whole, 15)
     assert max(len(piece) for piece in pieces) <= 15
     assert sum(len(piece) for piece in pieces) == len(whole)

@@ -5,7 +5,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mixer_torch.solvers.search.decomposition import cut_along, decompose, part_costs
+from mixer_torch.solvers.search.decomposition import cut_along, decompose
 from mixer_torch.solvers.search.graph import Graph
 
 
@@ -38,7 +38,7 @@ def test_cutting_along_parts_never_costs_more(seed: int) -> None:
     parts = decompose(graph)
     cut = cut_along(label, parts)
     assert graph.objective(cut) <= graph.objective(label) + 1e-12
-    costs = part_costs(graph, cut, parts.part, len(parts))
+    costs = graph.objective_by_part(cut, parts.part, len(parts))
     assert np.isclose(costs.sum(), graph.objective(cut))
     for c in np.unique(cut):
         assert len(np.unique(label[cut == c])) == 1

@@ -1,4 +1,4 @@
-"""The graph of nodes with tokens: against sums worked out pair by pair."""
+"""The graph of nodes with groups: against sums worked out pair by pair."""
 
 import numpy as np
 import torch
@@ -9,11 +9,11 @@ from mixer_torch.solvers.search.graph import Graph, compact, named_by_member
 
 def test_costs_of_a_repeated_pair_add_and_conflicts_are_no_edges() -> None:
     pairs = np.array([[0, 1, 0, 3], [1, 0, 2, 4]])
-    tokens = np.array([[0, 2, 3], [7, 7, 9]])
-    graph = Graph.from_arrays(5, pairs, np.array([1.0, 2.0, -1.0, 3.0]), tokens)
-    assert graph.neighbour.tolist() == [1, 0, 4, 3]  # (0, 2) share the token 7
+    groups = np.array([[0, 2, 3], [7, 7, 9]])
+    graph = Graph.from_arrays(5, pairs, np.array([1.0, 2.0, -1.0, 3.0]), groups)
+    assert graph.neighbour.tolist() == [1, 0, 4, 3]  # (0, 2) share the group 7
     assert graph.cost.tolist() == [3.0, 3.0, 3.0, 3.0]
-    assert graph.token.tolist() == [0, 0]  # only node 3 carries 9
+    assert graph.group.tolist() == [0, 0]  # only node 3 is in 9
 
 
 def test_contraction_keeps_the_cost_of_every_clustering_above_it() -> None:
@@ -21,12 +21,12 @@ def test_contraction_keeps_the_cost_of_every_clustering_above_it() -> None:
     n = 12
     pairs = np.stack(np.triu_indices(n, 1))
     cost = rng.normal(size=pairs.shape[1])
-    tokens = np.stack([np.arange(n), np.arange(n) // 2])
-    graph = Graph.from_arrays(n, pairs, cost, tokens)
+    groups = np.stack([np.arange(n), np.arange(n) // 2])
+    graph = Graph.from_arrays(n, pairs, cost, groups)
     label = np.array([0, 1, 0, 1, 2, 3, 2, 3, 4, 5, 4, 5])
     coarse = graph.contract(label)
     assert len(coarse) == 6
-    assert coarse.token_start.tolist() == [0, 2, 4, 6, 8, 10, 12]
+    assert coarse.group_start.tolist() == [0, 2, 4, 6, 8, 10, 12]
     for above in ([0, 1, 2, 3, 4, 5], [0, 1, 0, 1, 0, 1], [0, 1, 1, 0, 2, 3]):
         whole = np.array(above)[label]
         assert graph.is_feasible(whole)

@@ -5,12 +5,12 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.search.linear_assignment import assign, matching_scratch
+from mixer_torch.solvers.search.linear_assignment import assign, assignment_scratch
 
 
 @compiled
-def matched(cost):  # type: ignore[no-untyped-def]
-    scratch = matching_scratch(*cost.shape)
+def matched(cost):
+    scratch = assignment_scratch(*cost.shape)
     scratch.cost[:] = cost
     assign(scratch, *cost.shape)
     return scratch.match

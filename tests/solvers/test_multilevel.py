@@ -6,9 +6,9 @@ import pytest
 from mixer_torch.solvers import refinement
 from mixer_torch.solvers.search.graph import Graph, arrays_of, compact
 from mixer_torch.solvers.search.greedy import greedy
+from mixer_torch.solvers.search.iterated_local_search import RESTARTS, new_search_state
 from mixer_torch.solvers.search.multilevel import refine_large
-from mixer_torch.solvers.search.search import RESTARTS, new_course
-from mixer_torch.solvers.search.subproblem import carriers_of, named, search_region
+from mixer_torch.solvers.search.subproblem import Labelling, search_subproblem
 
 
 def video(seed: int, frames: int, objects: int, window: int = 3) -> Graph:
@@ -30,8 +30,8 @@ def test_feasible_and_not_worse_than_greedy(seed: int) -> None:
     graph = video(seed, 40, 8)
     start = greedy(graph)
     random = np.array([seed], np.uint64)
-    label, course = refine_large(graph, start, 10, random, np.inf)
-    assert course[RESTARTS] > 0
+    label, state = refine_large(graph, start, 10, random, np.inf)
+    assert state[RESTARTS] > 0
     assert graph.is_feasible(label)
     assert graph.objective(label) < graph.objective(start)
 
@@ -47,41 +47,41 @@ def test_close_to_the_search_of_the_whole() -> None:
 def test_out_of_time_returns_the_start() -> None:
     graph = video(1, 20, 6)
     start = greedy(graph)
-    label, course = refine_large(graph, start, 10, np.array([0], np.uint64), -np.inf)
-    assert course[RESTARTS] == 0
+    label, state = refine_large(graph, start, 10, np.array([0], np.uint64), -np.inf)
+    assert state[RESTARTS] == 0
     assert (label == compact(start)).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_regions_leave_the_rest_together(seed: int) -> None:
+def test_subproblems_leave_the_rest_together(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = video(seed, 20, 6)
     before = compact(greedy(graph))
-    names = named(graph, before.copy())
+    labelling = Labelling.of(graph, before.copy())
     random = np.array([seed], np.uint64)
     cost = graph.objective(before)
     for _ in range(5):
-        old = names.label.copy()
+        old = labelling.label.copy()
         nodes = np.sort(rng.choice(len(graph), 25, replace=False)).astype(np.int64)
-        search_region(
+        search_subproblem(
             arrays_of(graph),
-            carriers_of(graph),
-            names,
+            graph.members(),
+            labelling,
             nodes,
             10,
-            new_course(10),
+            new_search_state(10),
             np.zeros(len(nodes)),
             random,
         )
         rest = np.setdiff1d(np.arange(len(graph)), nodes)
-        assert (names.label[rest] == old[rest]).all()
-        assert graph.is_feasible(names.label)
-        now = graph.objective(names.label)
+        assert (labelling.label[rest] == old[rest]).all()
+        assert graph.is_feasible(labelling.label)
+        now = graph.objective(labelling.label)
         assert now <= cost + 1e-9
         cost = now
-        size = np.bincount(names.label, minlength=len(graph))
-        assert (names.size == size).all()
-        unused = names.unused[: names.height[0]]
+        size = np.bincount(labelling.label, minlength=len(graph))
+        assert (labelling.size == size).all()
+        unused = labelling.unused[: labelling.height[0]]
         assert sorted(unused.tolist()) == np.flatnonzero(size == 0).tolist()
 
 
@@ -101,17 +101,17 @@ def test_large_parts_with_most_pairs_listed_are_searched_as_a_matrix(
 ) -> None:
     called = []
 
-    def refine_by_regions(graph, label, restarts, random, deadline, progress=None):
+    def refine_by_subproblems(graph, label, restarts, random, deadline, progress=None):
         called.append(len(graph))
         return refine_large(graph, label, restarts, random, deadline, progress)
 
-    monkeypatch.setattr(refinement, "refine_large", refine_by_regions)
+    monkeypatch.setattr(refinement, "refine_large", refine_by_subproblems)
     sparse, full = video(2, 30, 8), video(2, 30, 8, window=30)
-    in_regions = refine_large(full, greedy(full), 5, np.array([0], np.uint64), np.inf)[0]
+    by_subproblems = refine_large(full, greedy(full), 5, np.array([0], np.uint64), np.inf)[0]
     monkeypatch.setattr(refinement, "DENSE", 50)
     label, _ = refinement.refine(full, greedy(full), restarts=5)
     assert not called
     assert full.is_feasible(label)
-    assert full.objective(label) <= full.objective(in_regions) + 1e-9
+    assert full.objective(label) <= full.objective(by_subproblems) + 1e-9
     refinement.refine(sparse, greedy(sparse), restarts=5)
     assert called

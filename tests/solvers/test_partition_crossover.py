@@ -6,15 +6,15 @@ import numba
 import numpy as np
 import pytest
 
-from mixer_torch.solvers.search import clustering, recombination
+from mixer_torch.solvers.search import clustering, partition_crossover
 from mixer_torch.solvers.search.clustering import build
-from mixer_torch.solvers.search.partition_crossover import keep
+from mixer_torch.solvers.search.partition_crossover import new_incumbent
 
 TINY = 1e-9
-inner_move, inner_recombine, inner_rest = (
+inner_move, inner_crossover, inner_mark = (
     clustering.move,
-    recombination.recombine,
-    recombination.rest,
+    partition_crossover.partition_crossover,
+    partition_crossover.mark_unchanged,
 )
 
 
@@ -27,13 +27,13 @@ def move(state, i, c):
 
 
 @numba.njit
-def recombine(state, kept, region, count, share, tiny):
-    return inner_recombine(state, kept, region, count, share, tiny)
+def crossover(state, best, changed, count, weight, tiny):
+    return inner_crossover(state, best, changed, count, weight, tiny)
 
 
 @numba.njit
-def rest(state, kept, since):
-    inner_rest(state, kept, since)
+def mark_unchanged(state, best, since):
+    inner_mark(state, best, since)
 
 
 def cost_of(weight, label):
@@ -81,48 +81,48 @@ def problem(seed, n=12, views=4):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_best_mixture_is_kept_and_is_the_state(seed):
-    weight, token_start, token, old, new = problem(seed)
+    weight, group_start, group, old, new = problem(seed)
     n = len(old)
-    state = build(weight, token_start, token, old)
-    kept = keep(state, np.zeros(n))
+    state = build(weight, group_start, group, old)
+    best = new_incumbent(state, np.zeros(n))
     for i in np.flatnonzero(old != new):
         move(state, i, new[i])
     assert same_clusters(state.label, new)
-    best = min(cost_of(weight, mixture) for mixture in mixtures(old, new))
+    least = min(cost_of(weight, mixture) for mixture in mixtures(old, new))
     nodes = np.arange(n)
-    change, worse = recombine(state, kept, nodes, n, 0.5, TINY)
-    assert cost_of(weight, kept.label) == pytest.approx(best, abs=1e-9)
-    assert change == pytest.approx(best - cost_of(weight, old), abs=1e-9)
-    assert same_clusters(state.label, kept.label)
-    assert (worse > 0) == (best < cost_of(weight, new) - TINY)
+    change, worse = crossover(state, best, nodes, n, 0.5, TINY)
+    assert cost_of(weight, best.label) == pytest.approx(least, abs=1e-9)
+    assert change == pytest.approx(least - cost_of(weight, old), abs=1e-9)
+    assert same_clusters(state.label, best.label)
+    assert (worse > 0) == (least < cost_of(weight, new) - TINY)
     for c in np.unique(state.label):
-        assert len(set(token[state.label == c])) == (state.label == c).sum()
+        assert len(set(group[state.label == c])) == (state.label == c).sum()
         assert state.size[c] == (state.label == c).sum()
         expected = weight[:, state.label == c].sum(1)
         np.testing.assert_allclose(state.total[c], expected, atol=1e-12)
-    np.testing.assert_allclose(kept.cost, state.total[state.label, nodes], atol=1e-12)
+    np.testing.assert_allclose(best.cost, state.total[state.label, nodes], atol=1e-12)
 
 
-def test_credit_is_for_clusters_that_came_back_and_starts_anew_where_the_cost_falls():
+def test_confirmed_are_clusters_that_came_back_and_starts_anew_where_the_cost_falls():
     weight = np.zeros((5, 5))
     weight[0, 1] = weight[1, 0] = weight[2, 3] = weight[3, 2] = -1.0
     state = build(weight, np.arange(6), np.arange(5, dtype=np.int32), np.array([0, 0, 1, 2, 3]))
-    kept = keep(state, np.full(5, 0.25))
+    best = new_incumbent(state, np.full(5, 0.25))
     move(state, 3, 1)
-    change, worse = recombine(state, kept, np.arange(5), 4, 0.5, TINY)
+    change, worse = crossover(state, best, np.arange(5), 4, 0.5, TINY)
     assert (change, worse) == (-1.0, 0)
-    np.testing.assert_array_equal(kept.credit, [0.75, 0.75, 0, 0, 0.25])
+    np.testing.assert_array_equal(best.confirmed, [0.75, 0.75, 0, 0, 0.25])
 
 
 def test_clusters_that_came_back_count_as_at_rest():
     state = build(np.zeros((4, 4)), np.arange(5), np.arange(4, dtype=np.int32), np.zeros(4, int))
     move(state, 3, 1)
-    kept, since = keep(state, np.zeros(4)), state.number[1]
+    best, since = new_incumbent(state, np.zeros(4)), state.number[1]
     move(state, 0, 2)
     move(state, 0, 0)
-    rest(state, kept, since)
+    mark_unchanged(state, best, since)
     assert (state.stamp[state.slot[: state.number[0]]] <= since).all()
     move(state, 0, 1)
-    rest(state, kept, since)
+    mark_unchanged(state, best, since)
     assert state.stamp[0] > since
     assert state.stamp[1] > since

@@ -172,7 +172,7 @@ def test_stats_tell_what_each_kind_of_move_gained() -> None:
     graph = random_graph(2, 80, 1000)
     _, stats = refine(graph, greedy(graph), restarts=10)
     gained = stats["gained"]
-    assert set(gained) == {"enumeration", "descents", "reheats", "disturbances"}
+    assert set(gained) == {"exhaustive", "descent", "annealing", "ruin_and_recreate"}
     assert min(gained.values()) >= 0
     assert np.isclose(sum(gained.values()), stats["start"] - stats["objective"], atol=1e-9)
     assert 0 < stats["restarts"] <= 10

@@ -17,12 +17,13 @@ from mixer_torch.solvers.proof.pair_program import Optimum, PairProgram
 from mixer_torch.solvers.refinement import refine
 from mixer_torch.solvers.search.graph import Graph, compact
 
-DECIDED = 1e-6
-PROVEN = 1e-7  # of the largest cost: what is not better by more is not better
-ROUNDS = 3  # over which a round of cuts has to close a part of the gap, or the node is branched
-WORTH = 0.3
+DECIDED = 1e-6  # x within this of 0 or 1 is; HiGHS is run at a tolerance of 1e-9
+PROVEN = 1e-7  # of the largest cost: no clustering is better by more
+# Set by hand; benchmarks/sensitivity.py shows what half and twice of each do to the time.
+ROUNDS = 3  # over which cuts have to close
+WORTH = 0.3  # this fraction of the gap, or the node is branched
 ASCENT = 0.2  # of the time at most goes into dual ascent
-LARGEST = 400  # nodes that a linear program is tried on; beyond, dual ascent has all the time
+LARGEST = 400  # nodes of a linear program, 80,000 pairs; beyond, dual ascent has all the time
 
 
 class Proof(NamedTuple):
@@ -37,7 +38,7 @@ class Proof(NamedTuple):
 
 @dataclass(order=True)
 class _Node:
-    """A part of the search: pairs that are together, and pairs that are not, by decision.
+    """A subproblem of the search tree: pairs that are decided to be together, or separate.
 
     The one with the lowest bound comes first.
     """
@@ -45,7 +46,7 @@ class _Node:
     bound: float
     serial: int
     together: np.ndarray = field(compare=False)
-    apart: np.ndarray = field(compare=False)
+    separate: np.ndarray = field(compare=False)
 
 
 class BranchAndCut:
@@ -59,10 +60,10 @@ class BranchAndCut:
 
     def __init__(self, graph: Graph, labels: np.ndarray, deadline: float) -> None:
         self.graph, self.deadline = graph, deadline
-        cost, self.apart = dense(graph)
+        cost, self.conflict = dense(graph)
         self.scale = float(np.abs(cost).max()) or 1.0
         self.step = granularity(graph.cost) / self.scale
-        self.program = PairProgram(cost / self.scale, self.apart)
+        self.program = PairProgram(cost / self.scale, self.conflict)
         self.labels, self.objective = compact(labels), graph.objective(labels) / self.scale
         self.nodes = self.cuts = self._serial = 0
         self._cost = cost / self.scale
@@ -87,15 +88,14 @@ class BranchAndCut:
         return Proof(self.labels, bound, proven, self.nodes, self.cuts)
 
     def _root(self) -> _Node:
-        """Nothing decided but what dual ascent decides, which is fast; its cuts are kept."""
+        """The root, with what dual ascent decides; the linear program starts with its cuts."""
         free = np.zeros(len(self.program.cost), bool)
         now = time.perf_counter()
         part = 1.0 if len(self.graph) > LARGEST else ASCENT
         deadline = now + part * (self.deadline - now)
-        ascent = ascend(self._cost, self.apart, deadline, self._enough())
+        ascent = ascend(self._cost, self.conflict, deadline, self._enough())
         node = _Node(ascent.bound, 0, free, free)
-        reduced = ascent.reduced[self.program.first, self.program.second]
-        self._fix(node, ascent.bound, reduced)
+        self._fix(node, ascent.bound, self.program.variables.vector(ascent.reduced))
         self.program.add(ascent.cuts)
         self.cuts += len(ascent.cuts)
         return node
@@ -111,16 +111,16 @@ class BranchAndCut:
         return self._branch(node, optimum.x), np.inf
 
     def _cut(self, node: _Node) -> tuple[Optimum, bool]:
-        """Cuts until none is broken or they no longer pay, and whether x is a clustering."""
+        """Cuts until none is violated or they no longer pay, and whether x is a clustering."""
         bounds: list[float] = []
-        limit = max(200, 5 * len(self.graph))
+        limit = max(200, 5 * len(self.graph))  # new cuts in a round
         while True:
-            self.program.limit(node.together.astype(float), (~node.apart).astype(float))
+            self.program.limit(node.together.astype(float), (~node.separate).astype(float))
             optimum = self.program.solve(self.deadline)
             bounds.append(optimum.bound)
             if not optimum.finished or self._is_beaten(optimum.bound):
                 return optimum, False
-            x = self.program.matrix(optimum.x)
+            x = self.program.variables.matrix(optimum.x)
             cuts = separate(x, DECIDED, limit)
             whole = bool((np.minimum(optimum.x, 1 - optimum.x) < DECIDED).all())
             if whole or len(bounds) == 1:
@@ -135,7 +135,7 @@ class BranchAndCut:
                 if gained < WORTH * gap:
                     self._improve(x)
                     return optimum, False
-            if len(bounds) % 3 == 0:
+            if len(bounds) % ROUNDS == 0:
                 self.program.drop_slack()
             self.program.add(cuts)
             self.cuts += len(cuts)
@@ -146,50 +146,46 @@ class BranchAndCut:
         A clustering that departs from the reduced cost's sign at a pair costs bound + |reduced|.
         """
         room = self._cutoff() - bound
-        node.apart = node.apart | ((reduced > room) & ~node.together)
-        node.together = node.together | ((-reduced > room) & ~node.apart)
+        node.separate = node.separate | ((reduced > room) & ~node.together)
+        node.together = node.together | ((-reduced > room) & ~node.separate)
 
     def _propagate(self, node: _Node) -> bool:
         """What the decided pairs imply for others; False where they contradict one another."""
         n = len(self.graph)
-        first, second = self.program.first, self.program.second
+        first, second = self.program.variables.first, self.program.variables.second
         one = node.together
         links = coo_array((one[one], (first[one], second[one])), shape=(n, n))
-        group = connected_components(links, directed=False)[1]
-        apart = self.apart.copy()
-        apart[first[node.apart], second[node.apart]] = True
-        apart |= apart.T
-        member = np.zeros((n, group.max() + 1))
-        member[np.arange(n), group] = 1
-        between = member.T @ apart @ member > 0
+        component = connected_components(links, directed=False)[1]
+        conflict = self.conflict.copy()
+        conflict[first[node.separate], second[node.separate]] = True
+        conflict |= conflict.T
+        member = np.zeros((n, component.max() + 1))
+        member[np.arange(n), component] = 1
+        between = member.T @ conflict @ member > 0
         if between.diagonal().any():
             return False
-        node.apart = between[group[first], group[second]]
-        node.together = group[first] == group[second]
+        node.separate = between[component[first], component[second]]
+        node.together = component[first] == component[second]
         return True
 
     def _branch(self, node: _Node, x: np.ndarray) -> list[_Node]:
-        """Two children: the most undecided pair is together, and it is not."""
+        """Two children: in one the most undecided pair is together, in the other separate."""
         undecided = np.minimum(x, 1 - x)
         pair = int(np.lexsort((-np.abs(self.program.cost), -undecided.round(6)))[0])
         children = []
         for value in (True, False):
-            together, apart = node.together.copy(), node.apart.copy()
-            (together if value else apart)[pair] = True
+            together, separate_ = node.together.copy(), node.separate.copy()
+            (together if value else separate_)[pair] = True
             self._serial += 1
-            children.append(_Node(node.bound, self._serial, together, apart))
+            children.append(_Node(node.bound, self._serial, together, separate_))
         return children
 
     def _improve(self, x: np.ndarray) -> None:
         """Round x to a clustering, refine it, and keep it if it is the best one."""
-        index = np.stack([self.program.first, self.program.second])
-        tokens = np.stack(
-            [
-                np.repeat(np.arange(len(self.graph)), np.diff(self.graph.token_start)),
-                self.graph.token,
-            ]
-        )
-        rounding = Graph.from_arrays(len(x), index, 0.5 - x[index[0], index[1]], tokens)
+        variables, graph = self.program.variables, self.graph
+        pairs = np.stack([variables.first, variables.second])
+        groups = np.stack([graph.group_node, graph.group])
+        rounding = Graph.from_arrays(len(x), pairs, 0.5 - variables.vector(x), groups)
         labels = refine(rounding, restarts=0)[0]
         left = max(self.deadline - time.perf_counter(), 0.0)
         labels = refine(self.graph, labels, restarts=len(x), seed=self.nodes, time_limit=left)[0]
@@ -198,14 +194,14 @@ class BranchAndCut:
             self.labels, self.objective = labels, objective
 
     def _cutoff(self) -> float:
-        """A clustering above this is not better than the best one."""
+        """A bound above this rules out better clusterings: the next lower cost is a step away."""
         return self.objective - self.step * (1 - DECIDED)
 
     def _is_beaten(self, bound: float) -> bool:
         return bound >= self._enough()
 
     def _enough(self) -> float:
-        """A bound with which the best clustering is proven."""
+        """A bound that proves the best clustering."""
         return self._cutoff() - (0.0 if self.step else PROVEN)
 
     def _strengthened(self, bound: float) -> float:
@@ -216,22 +212,22 @@ class BranchAndCut:
 
 
 def dense(graph: Graph) -> tuple[np.ndarray, np.ndarray]:
-    """(n, n) costs, and which two nodes may not be together."""
+    """(n, n) costs, and the conflict mask: which two nodes may not be together."""
     n = len(graph)
     cost = np.zeros((n, n))
-    cost[np.repeat(np.arange(n), np.diff(graph.start)), graph.neighbour] = graph.cost
-    node = np.repeat(np.arange(n), np.diff(graph.token_start))
-    has = np.zeros((n, int(graph.token.max()) + 1 if len(graph.token) else 0))
-    has[node, graph.token] = 1
-    apart = has @ has.T > 0
-    np.fill_diagonal(apart, False)
-    return cost, apart
+    cost[graph.near, graph.neighbour] = graph.cost
+    has = np.zeros((n, int(graph.group.max()) + 1 if len(graph.group) else 0))
+    has[graph.group_node, graph.group] = 1
+    conflict = has @ has.T > 0
+    np.fill_diagonal(conflict, False)
+    return cost, conflict
 
 
 def granularity(cost: np.ndarray) -> float:
     """The largest number of which all costs are multiples, 0 where it is too small to be of use.
 
-    Found for costs that are integers over a power of two, which are exact as floats.
+    Found for integers below 2^40 over a power of two up to 2^11, which are exact as floats, and so
+    are their sums.
     """
     for power in range(12):
         scaled = cost * 2.0**power

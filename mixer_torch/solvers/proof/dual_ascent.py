@@ -1,4 +1,4 @@
-"""A lower bound without a linear program: ascent in the multipliers of the cuts."""
+"""Dual ascent: a lower bound without a linear program, from multipliers of the cuts."""
 
 from __future__ import annotations
 
@@ -9,34 +9,31 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from mixer_torch.solvers.compiled import compiled
-from mixer_torch.solvers.proof.cuts import Cuts, rows_of, separate
+from mixer_torch.solvers.proof.cuts import Cuts, PairVariables, lagrangian_bound, separate
 
-SOFTEST, HARDEST, HARDENING = 0.3, 0.003, 0.92
+# Set by hand; benchmarks/sensitivity.py shows what half and twice of each do to bound and time.
+SOFTEST, HARDEST, SOFTENING = 0.3, 0.003, 0.92  # temperature t at first, at last, factor of a round
 SWEEPS = 10  # over all cuts, between two searches for new ones
-PATIENCE = 10  # rounds over which a settled ascent has to gain
-SMALL = 1e-6
-VIOLATION = 0.02
-ROUNDING = 1e-13
+ROUNDS = 10  # over which an ascent at the last temperature has to gain
+LEAST_GAIN = 1e-4  # by this fraction of the bound, or it ends
+SMALL = 1e-6  # multipliers below it are dropped with their cuts
+VIOLATION = 0.02  # of a new cut, at least
+STARTS = 40  # attempts at each node to find one; so many times n new cuts in a round at most
 
 
 class Ascent(NamedTuple):
-    """What dual ascent proved.
+    """What dual ascent proved."""
 
-    Args:
-        bound: No clustering costs less.
-        reduced: (n, n) reduced costs; a clustering that departs from their sign at a pair costs
-            bound + |reduced| or more. 0 for pairs that may not be together.
-        cuts: Those with a multiplier above 0, which a linear program would start with.
-    """
-
-    bound: float
+    bound: float  # no clustering costs less
+    # (n, n) reduced costs: a clustering that departs from their sign at a pair costs
+    # bound + |reduced| or more; 0 for pairs that may not be together
     reduced: np.ndarray
-    cuts: Cuts
+    cuts: Cuts  # those with a multiplier above 0, which a linear program would start with
 
 
 def ascend(
     cost: Float64[np.ndarray, "n n"],
-    apart: Bool[np.ndarray, "n n"],
+    conflict: Bool[np.ndarray, "n n"],
     deadline: float,
     target: float = np.inf,
 ) -> Ascent:
@@ -44,71 +41,51 @@ def ascend(
 
         L(y) = sum_e min(0, cost_e + (A^T y)_e) - sum y,      y >= 0, one for each cut A x <= 1
 
-    L(y) bounds the optimum for any y, so it is only evaluated carefully, and is maximised in
-    whatever way is fast: the minimum is softened to -t log(1 + exp(-r / t)), each y_i in turn makes
-    a Newton step, and t falls from round to round. Softened minima have the minimiser
-    x = 1 / (1 + exp(r / t)), in which broken inequalities are looked for (as column generation does
-    with the average of a subgradient method; Barahona and Anbil, 2000). Without softening,
-    coordinate ascent would get stuck.
+    L(y) bounds the optimum for any y >= 0, so only its value has to be computed with care, and it
+    may be maximised in whatever way is fast: the minimum is softened to -t log(1 + exp(-r / t))
+    with r = cost + A^T y, each y_i in turn makes a Newton step, and t falls from round to round.
+    Without softening, coordinate ascent would stop short of the maximum. The softened minimum is at
+    x = 1 / (1 + exp(r / t)), for which violated cuts are sought (as column generation does with the
+    average of a subgradient method; Barahona and Anbil, 2000).
 
     Args:
         cost: Symmetric, of magnitude 1.
-        apart: Pairs that may not be together.
+        conflict: Pairs that may not be together.
         deadline: Time of ``time.perf_counter`` at which to stop.
         target: A bound that is good enough.
     """
-    n = len(cost)
-    first, second = np.nonzero(np.triu(~apart, 1))
-    variables = len(first)
-    index = np.full((n, n), -1, np.int64)
-    index[first, second] = index[second, first] = np.arange(variables)
-    value = cost[first, second]
+    n, variables = len(cost), PairVariables(conflict)
+    value = variables.vector(cost)
     cuts, y = Cuts.none(), np.zeros(0)
     best, softness = Ascent(-np.inf, np.zeros((n, n)), cuts), SOFTEST
     history: list[float] = []
     while True:
-        start, variable, coefficient = rows_of(index, cuts.centre, cuts.start, cuts.member)
-        reduced = value + _weights(start, variable, coefficient, y, variables)
+        rows = variables.rows(cuts)
         if time.perf_counter() < deadline:
-            _sweep(start, variable, coefficient, y, reduced, softness, SWEEPS)
-            reduced = value + _weights(start, variable, coefficient, y, variables)
-        bound = _bound(value, reduced, start, y)
+            reduced = value + rows.T @ y
+            _sweep(rows.indptr, rows.indices, rows.data, y, reduced, softness, SWEEPS)
+        bound, reduced = lagrangian_bound(value, rows, y)
         if bound > best.bound:
-            best = Ascent(bound, _square(n, first, second, reduced), cuts.select(y > SMALL))
+            best = Ascent(bound, variables.matrix(reduced), cuts.select(y > SMALL))
         history.append(best.bound)
-        settled = softness <= HARDEST and len(history) > PATIENCE
-        done = settled and history[-1] - history[-1 - PATIENCE] <= 1e-4 * abs(history[-1])
+        settled = softness <= HARDEST and len(history) > ROUNDS
+        done = settled and history[-1] - history[-1 - ROUNDS] <= LEAST_GAIN * abs(history[-1])
         if done or bound >= target or time.perf_counter() >= deadline:
             return best
-        x = 1 / (1 + np.exp(np.clip(reduced / softness, -50, 50)))
+        x = 1 / (1 + np.exp(np.clip(reduced / softness, -50, 50)))  # e^50: far from overflow
         keep = y > SMALL
-        fresh = separate(_square(n, first, second, x), VIOLATION, 40 * n, starts=40)
+        fresh = separate(variables.matrix(x), VIOLATION, STARTS * n, STARTS)
         cuts, y = cuts.select(keep).joined(fresh), np.concatenate([y[keep], np.zeros(len(fresh))])
-        softness = max(softness * HARDENING, HARDEST)
-
-
-def _bound(value: np.ndarray, reduced: np.ndarray, start: np.ndarray, y: np.ndarray) -> float:
-    """L(y), rounded down by more than the sums may have lost."""
-    magnitude = np.abs(value).sum() + (y * (1 + np.diff(start))).sum()
-    return float(np.minimum(reduced, 0).sum() - y.sum() - ROUNDING * magnitude)
-
-
-def _weights(
-    start: np.ndarray, variable: np.ndarray, coefficient: np.ndarray, y: np.ndarray, count: int
-) -> np.ndarray:
-    """A^T y."""
-    return np.bincount(variable, coefficient * np.repeat(y, np.diff(start)), minlength=count)
-
-
-def _square(n: int, first: np.ndarray, second: np.ndarray, x: np.ndarray) -> np.ndarray:
-    full = np.zeros((n, n))
-    full[first, second] = full[second, first] = x
-    return full
+        softness = max(softness * SOFTENING, HARDEST)
 
 
 @compiled
-def _sweep(start, variable, coefficient, y, reduced, softness, sweeps):  # type: ignore[no-untyped-def]
-    """Newton steps on one multiplier after the other, of at most twice the softness."""
+def _sweep(start, variable, coefficient, y, reduced, softness, sweeps):
+    """Newton steps on one multiplier after the other, of at most twice the softness.
+
+    Where the sigmoid is flat the curvature is almost 0 and the Newton step too long: a thousandth
+    is added to it. Beyond exp(30) the sigmoid is 0 or 1 to 13 digits.
+    """
     for _ in range(sweeps):
         for i in range(len(y)):
             gradient, curvature = -1.0, 1e-3

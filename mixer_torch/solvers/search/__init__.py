@@ -1,1 +1,1 @@
-"""Discrete search: graphs of nodes with costs and tokens, and moves that keep every constraint."""
+"""Discrete search: graphs of nodes with costs and groups, and moves that keep every constraint."""

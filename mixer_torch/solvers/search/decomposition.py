@@ -1,4 +1,4 @@
-"""Parts of a problem that can be solved apart without loss."""
+"""Decomposition into parts that can be solved independently, without loss."""
 
 from __future__ import annotations
 
@@ -11,17 +11,11 @@ from mixer_torch.solvers.search.graph import Graph, compact
 
 
 class Parts(NamedTuple):
-    """Nodes grouped by part.
+    """Nodes by part: the nodes of part p are ``order[start[p]:start[p + 1]]``."""
 
-    Args:
-        part: (n,) int64 part of each node, 0.. in order of first appearance.
-        order: (n,) int64 the nodes, part by part, ascending inside each.
-        start: (parts + 1,) int64; part p is ``order[start[p]:start[p + 1]]``.
-    """
-
-    part: np.ndarray
-    order: np.ndarray
-    start: np.ndarray
+    part: np.ndarray  # (n,) int64 part of each node, 0.. in order of first appearance
+    order: np.ndarray  # (n,) int64 the nodes, part by part, ascending inside each
+    start: np.ndarray  # (parts + 1,) int64
 
     def __len__(self) -> int:
         """Number of parts."""
@@ -29,7 +23,7 @@ class Parts(NamedTuple):
 
 
 def decompose(graph: Graph) -> Parts:
-    """Connected components of the pairs with negative cost; each can be solved apart, exactly.
+    """Connected components of the pairs with negative cost; each can be solved on its own, exactly.
 
     Let a clustering have a cluster C with nodes of several components, and cut C along them. Every
     pair that the cut separates lies in two components, so its cost is >= 0 (a pair with negative
@@ -54,7 +48,7 @@ def components(graph: Graph, label: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _components(start, neighbour, cost, label):  # type: ignore[no-untyped-def]
+def _components(start, neighbour, cost, label):
     n, parts = len(start) - 1, 0
     part = np.full(n, -1, np.int64)
     stack = np.empty(n, np.int64)
@@ -73,19 +67,3 @@ def _components(start, neighbour, cost, label):  # type: ignore[no-untyped-def]
                     waiting += 1
         parts += 1
     return part
-
-
-def part_costs(graph: Graph, label: np.ndarray, part: np.ndarray, parts: int) -> np.ndarray:
-    """(parts,) the cost inside clusters, part by part; each cluster lies within one."""
-    return _part_costs(graph.start, graph.neighbour, graph.cost, label, part, parts)
-
-
-@compiled
-def _part_costs(start, neighbour, cost, label, part, parts):  # type: ignore[no-untyped-def]
-    total = np.zeros(parts)
-    for a in range(len(start) - 1):
-        for e in range(start[a], start[a + 1]):
-            b = neighbour[e]
-            if a < b and label[a] == label[b]:
-                total[part[a]] += cost[e]
-    return total

@@ -6,21 +6,21 @@ import numpy as np
 
 from mixer_torch.solvers.compiled import compiled, inner
 from mixer_torch.solvers.search.decomposition import Parts
-from mixer_torch.solvers.search.graph import Graph, arrays_of, shares_token
+from mixer_torch.solvers.search.graph import Graph, arrays_of, share_group
 
-LARGEST = 12  # nodes; each one more triples the work
+LARGEST = 12  # nodes: 2.7e5 steps, about a millisecond; each further node triples the work
 
 
 def enumerate_parts(graph: Graph, parts: Parts, label: np.ndarray) -> np.ndarray:
-    """Write the optimal labels of all parts of at most 12 nodes; each is named by a member.
+    """Write the optimal labels of all parts of at most 12 nodes; a cluster is named by a member.
 
     The clusters of a set S of nodes are the one that holds its last node, and the best clusters of
     the rest:
 
         best(S) = min { cost(T) + best(S - T) : T part of S, last node of S in T }
 
-    where cost(T) is infinite if two of T share a token. n nodes take 3^n / 2 steps. A part in which
-    all negative costs, and no others, are inside clusters is left as it is: nothing is better.
+    where cost(T) is infinite if two of T share a group. n nodes take 3^n / 2 steps. A part whose
+    clusters hold all of its negative costs, and no others, is optimal already and left as it is.
 
     Args:
         graph: The problem.
@@ -39,8 +39,8 @@ def enumerate_parts(graph: Graph, parts: Parts, label: np.ndarray) -> np.ndarray
 
 
 @compiled
-def _enumerate(graph, part, order, part_start, chosen, label, changed):  # type: ignore[no-untyped-def]
-    start, neighbour, cost, token_start, token = graph
+def _enumerate(graph, part, order, part_start, chosen, label, changed):
+    start, neighbour, cost, group_start, group = graph
     place = np.empty(len(part), np.int64)
     weight = np.empty((LARGEST, LARGEST))
     inside, best = np.empty(2**LARGEST), np.empty(2**LARGEST)
@@ -50,8 +50,8 @@ def _enumerate(graph, part, order, part_start, chosen, label, changed):  # type:
         for i in range(len(nodes)):
             place[nodes[i]] = i
             for j in range(i):
-                apart = shares_token(token_start, token, nodes[i], nodes[j])
-                weight[i, j] = np.inf if apart else 0.0
+                conflict = share_group(group_start, group, nodes[i], nodes[j])
+                weight[i, j] = np.inf if conflict else 0.0
         before, lowest = 0.0, 0.0
         for a in nodes:
             for e in range(start[a], start[a + 1]):
@@ -70,8 +70,8 @@ def _enumerate(graph, part, order, part_start, chosen, label, changed):  # type:
 
 
 @inner
-def _solve_subsets(weight, n, inside, best, cluster):  # type: ignore[no-untyped-def]
-    """For each set of nodes, as bits: the cost of all in one, the least, and the last's cluster."""
+def _solve_subsets(weight, n, inside, best, cluster):
+    """For each set, as bits: its cost as one cluster, the least cost, its last node's cluster."""
     inside[0] = best[0] = 0.0
     cluster[0] = 0
     for last in range(n):
@@ -94,7 +94,7 @@ def _solve_subsets(weight, n, inside, best, cluster):  # type: ignore[no-untyped
 
 
 @inner
-def _name(nodes, whole, cluster, label):  # type: ignore[no-untyped-def]
+def _name(nodes, whole, cluster, label):
     """Label the nodes by the first member of their cluster."""
     left = whole
     while left > 0:

@@ -13,7 +13,7 @@ from mixer_torch.solvers.search.graph import Graph
 def greedy(graph: Graph) -> np.ndarray:
     """Labels by greedy additive edge contraction (GAEC; Keuper et al., ICCV 2015).
 
-    As long as some two clusters that share no token have a negative total cost, the two with the
+    As long as some two clusters that may be together have a negative total cost, the two with the
     most negative one are joined. Ties go to the pair with the smaller node numbers. Takes
     O(P log P) on sparse graphs, and no random draw.
 
@@ -23,42 +23,31 @@ def greedy(graph: Graph) -> np.ndarray:
     Returns:
         (n,) int64, each cluster named by its first member.
     """
-    return _contract(graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token)
+    return _contract(graph.start, graph.neighbour, graph.cost, graph.group_start, graph.group)
 
 
 _ROOT = np.int64(0)  # of the heap
 
 
 class Cells(NamedTuple):
-    """The edges of the clusters as linked lists, two cells (one from each end) for each edge.
+    """The edges of the clusters as linked lists, two cells (one from each end) for each edge."""
 
-    Args:
-        far: (E,) the cluster at the other end, -1 for a dead cell.
-        cost: (E,) cost between the two clusters, the same in both cells.
-        after: (E,) the next cell of the same cluster, -1 for none.
-        twin: (E,) the cell from the other end.
-        first: (n,) and
-        last: (n,) ends of each cluster's list, -1 if it is empty.
-        degree: (n,) cells in the list, dead ones included.
-        mark: (n,) scratch, -1 everywhere between joins.
-    """
-
-    far: np.ndarray
-    cost: np.ndarray
-    after: np.ndarray
-    twin: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    degree: np.ndarray
-    mark: np.ndarray
+    far: np.ndarray  # (E,) the cluster at the other end, -1 for a deleted cell
+    cost: np.ndarray  # (E,) between the two clusters, the same in both cells
+    after: np.ndarray  # (E,) the next cell of the same cluster, -1 for none
+    twin: np.ndarray  # (E,) the cell from the other end
+    first: np.ndarray  # (n,) the first cell of each cluster, -1 for none
+    last: np.ndarray  # (n,) the last cell of each cluster, -1 for none
+    degree: np.ndarray  # (n,) cells in the list, deleted ones included
+    mark: np.ndarray  # (n,) scratch, -1 everywhere between joins
 
 
 @compiled
-def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-untyped-def]
-    """Joins in the order of a heap of (cost, cell); entries that are out of date are skipped."""
+def _contract(start, neighbour, cost, group_start, group):
+    """Joins in the order of a heap of (cost, cell), in which outdated entries are skipped."""
     n = len(start) - 1
     cells = _cells(start, neighbour, cost)
-    held, next_held = _token_chains(token_start, len(token))
+    held, next_group = _group_chains(group_start, len(group))
     parent = np.arange(n)
     key, entry = np.empty(len(cost) + 1), np.empty(len(cost) + 1, np.int32)
     size = _fill_heap(start, neighbour, cost, key, entry)
@@ -70,31 +59,31 @@ def _contract(start, neighbour, cost, token_start, token):  # type: ignore[no-un
         if cells.far[cell] < 0 or cells.cost[cell] != value:
             continue
         a, b = cells.far[cells.twin[cell]], cells.far[cell]
-        if _share(held[a], held[b], next_held, token):
+        if _share(held[a], held[b], next_group, group):
             continue
         if cells.degree[a] < cells.degree[b] or (cells.degree[a] == cells.degree[b] and b < a):
             a, b = b, a
         parent[b] = a
-        held[a] = _union(held[a], held[b], next_held, token)
+        held[a] = _union(held[a], held[b], next_group, group)
         size = _join(cells, a, b, key, entry, size)
     return _named(parent)
 
 
 @compiled
-def _token_chains(token_start, count):  # type: ignore[no-untyped-def]
-    """Each node's tokens as a linked list: its first, and the next of each; -1 ends a list."""
-    n = len(token_start) - 1
-    held, next_held = token_start[:n].copy(), np.arange(1, count + 1)
+def _group_chains(group_start, count):
+    """Each node's groups as a linked list: its first, and the next of each; -1 ends a list."""
+    n = len(group_start) - 1
+    held, next_group = group_start[:n].copy(), np.arange(1, count + 1)
     for a in range(n):
-        if token_start[a] == token_start[a + 1]:
+        if group_start[a] == group_start[a + 1]:
             held[a] = -1
         else:
-            next_held[token_start[a + 1] - 1] = -1
-    return held, next_held
+            next_group[group_start[a + 1] - 1] = -1
+    return held, next_group
 
 
 @inner
-def _fill_heap(start, neighbour, cost, key, entry):  # type: ignore[no-untyped-def]
+def _fill_heap(start, neighbour, cost, key, entry):
     """All negative costs as a heap, one entry an edge; returns its size."""
     size = 0
     for a in range(len(start) - 1):
@@ -108,7 +97,8 @@ def _fill_heap(start, neighbour, cost, key, entry):  # type: ignore[no-untyped-d
 
 
 @compiled
-def _cells(start, neighbour, cost):  # type: ignore[no-untyped-def]
+def _cells(start, neighbour, cost):
+    """The cells of single nodes."""
     n, edges = len(start) - 1, len(neighbour)
     after, twin = np.empty(edges, np.int32), np.empty(edges, np.int32)
     first, last = np.full(n, -1, np.int32), np.full(n, -1, np.int32)
@@ -128,10 +118,10 @@ def _cells(start, neighbour, cost):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _join(cells, a, b, key, entry, size):  # type: ignore[no-untyped-def]
-    """The cells of b go over to a; costs to a common neighbour add up and enter the heap anew."""
-    _drop_dead(cells, a)
-    _drop_dead(cells, b)
+def _join(cells, a, b, key, entry, size):
+    """Move the cells of b to a; costs to a common neighbour add up and enter the heap again."""
+    _unlink_deleted(cells, a)
+    _unlink_deleted(cells, b)
     cell = cells.first[a]
     while cell >= 0:
         cells.mark[cells.far[cell]] = cell
@@ -170,8 +160,8 @@ def _join(cells, a, b, key, entry, size):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _drop_dead(cells, a):  # type: ignore[no-untyped-def]
-    """Unlink the dead cells of a; at least the cell that makes it join is alive."""
+def _unlink_deleted(cells, a):
+    """Unlink the deleted cells of a."""
     cell, behind = cells.first[a], np.int32(-1)
     cells.degree[a] = 0
     while cell >= 0:
@@ -190,37 +180,37 @@ def _drop_dead(cells, a):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _share(i, j, next_held, token):  # type: ignore[no-untyped-def]
-    """Whether two ascending token lists have one in common."""
+def _share(i, j, next_group, group):
+    """Whether two ascending group lists have one in common."""
     while i >= 0 and j >= 0:
-        if token[i] == token[j]:
+        if group[i] == group[j]:
             return True
-        if token[i] < token[j]:
-            i = next_held[i]
+        if group[i] < group[j]:
+            i = next_group[i]
         else:
-            j = next_held[j]
+            j = next_group[j]
     return False
 
 
 @inner
-def _union(i, j, next_held, token):  # type: ignore[no-untyped-def]
-    """One ascending list of two without common tokens; returns its head."""
+def _union(i, j, next_group, group):
+    """One ascending list of two without common groups; returns its head."""
     if i < 0 or j < 0:
         return max(i, j)
-    if token[j] < token[i]:
+    if group[j] < group[i]:
         i, j = j, i
     head = i
     while j >= 0:
-        while next_held[i] >= 0 and token[next_held[i]] < token[j]:
-            i = next_held[i]
-        rest = next_held[i]
-        next_held[i] = j
+        while next_group[i] >= 0 and group[next_group[i]] < group[j]:
+            i = next_group[i]
+        rest = next_group[i]
+        next_group[i] = j
         i, j = j, rest
     return head
 
 
 @compiled
-def _named(parent):  # type: ignore[no-untyped-def]
+def _named(parent):
     """Each node's cluster, named by its first member."""
     n = len(parent)
     name = np.full(n, -1, np.int64)
@@ -239,12 +229,12 @@ def _named(parent):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _before(key, entry, i, j):  # type: ignore[no-untyped-def]
+def _before(key, entry, i, j):
     return key[i] < key[j] or (key[i] == key[j] and entry[i] < entry[j])
 
 
 @inner
-def _sift_down(key, entry, size, i):  # type: ignore[no-untyped-def]
+def _sift_down(key, entry, size, i):
     while True:
         child = 2 * i + 1
         if child >= size:
@@ -259,7 +249,7 @@ def _sift_down(key, entry, size, i):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _sift_up(key, entry, i):  # type: ignore[no-untyped-def]
+def _sift_up(key, entry, i):
     while i > 0:
         parent = (i - 1) // 2
         if not _before(key, entry, i, parent):

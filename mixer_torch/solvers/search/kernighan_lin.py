@@ -1,4 +1,4 @@
-"""Exchange between two clusters: Kernighan-Lin chains that keep every constraint."""
+"""Kernighan-Lin exchange between two clusters, within the cannot-link constraints."""
 
 from __future__ import annotations
 
@@ -13,32 +13,22 @@ from mixer_torch.solvers.search.clustering import enter, first_of, leave, list_s
 class Exchange(NamedTuple):
     """Scratch of :func:`exchange`, for n nodes.
 
-    Nodes of two clusters that share a token must be on opposite sides, so they change sides
+    Nodes of the two clusters that share a group must be on opposite sides, so they change sides
     together: the connected components of that relation are the units that move.
-
-    Args:
-        node: (n,) the nodes of both clusters.
-        unit: (n,) the unit of each of them.
-        side: (n,) the cluster that each is in, 0 or 1, along the chain.
-        gain: (n,) what it would cost the node alone to change sides.
-        flip: (n,) what it would cost each unit to change sides.
-        chain: (n,) the units in the order in which they changed.
-        locked: (n,) whether the unit has changed.
-        position: (n,) place in ``node`` of each node of the graph.
     """
 
-    node: np.ndarray
-    unit: np.ndarray
-    side: np.ndarray
-    gain: np.ndarray
-    flip: np.ndarray
-    chain: np.ndarray
-    locked: np.ndarray
-    position: np.ndarray
+    node: np.ndarray  # (n,) the nodes of both clusters
+    unit: np.ndarray  # (n,) the unit of each of them
+    side: np.ndarray  # (n,) the cluster that each is in, 0 or 1, along the chain
+    gain: np.ndarray  # (n,) change of the cost if the node alone changed sides
+    flip: np.ndarray  # (n,) change of the cost if a unit changed sides
+    chain: np.ndarray  # (n,) the units in the order in which they changed
+    locked: np.ndarray  # (n,) whether the unit has changed
+    position: np.ndarray  # (n,) place in ``node`` of each node of the graph
 
 
 @compiled
-def exchange_scratch(n):  # type: ignore[no-untyped-def]
+def exchange_scratch(n):
     """Scratch for graphs of up to n nodes."""
     return Exchange(
         np.empty(n, np.int64),
@@ -53,8 +43,10 @@ def exchange_scratch(n):  # type: ignore[no-untyped-def]
 
 
 @inner
-def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
-    """Exchange between each changed slot and every slot that attracts it, an empty one included.
+def exchange_all(state, scratch, since, tiny):
+    """Exchange between each slot that changed and every slot that attracts one of its nodes.
+
+    The empty slot counts as attractive for clusters of three or more nodes, which it may split.
 
     Returns:
         The change of the cost.
@@ -81,7 +73,8 @@ def exchange_all(state, scratch, since, tiny):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _attracted(state, c, other):  # type: ignore[no-untyped-def]
+def _attracted(state, c, other):
+    """Whether a node of slot c has a negative cost to slot other."""
     i = first_of(state, c)
     while i < len(state.label):
         if state.total[other, i] < 0:
@@ -91,14 +84,14 @@ def _attracted(state, c, other):  # type: ignore[no-untyped-def]
 
 
 @inner
-def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-def]
+def exchange(state, scratch, first, second, tiny):
     """The best prefix of a chain of changes of side, each the cheapest that is left.
 
         minimise  cost inside the two clusters, over the sides of their units
 
-    (Kernighan and Lin, Bell System Technical Journal 49, 1970; with one cluster empty it splits
-    the other, and a prefix that empties one joins them: Keuper et al., ICCV 2015.) To change sides
-    is the same for some units as for all of the others, so the chain takes half of them.
+    Kernighan and Lin, Bell System Technical Journal 49, 1970. With one cluster empty it splits the
+    other, and a prefix that empties one joins them (Keuper et al., ICCV 2015). Exchanging some
+    units gives the same two clusters as exchanging all others, so the chain takes half of them.
 
     Returns:
         The change of the cost, 0 where no prefix gains.
@@ -131,7 +124,8 @@ def exchange(state, scratch, first, second, tiny):  # type: ignore[no-untyped-de
 
 
 @inner
-def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
+def _gather(state, scratch, first, second):
+    """List the nodes of both clusters; returns their number."""
     count = 0
     for side in range(2):
         own, other = (first, second) if side == 0 else (second, first)
@@ -147,8 +141,8 @@ def _gather(state, scratch, first, second):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def]
-    """Connected components of "shares a token", numbered 0..units-1."""
+def _units(state, scratch, first, second, count):
+    """Number the connected components of "shares a group"; returns how many there are."""
     for p in range(count):
         scratch.unit[p] = -1
     units = 0
@@ -163,8 +157,8 @@ def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def
             q = scratch.chain[stack]
             i = scratch.node[q]
             other = second if scratch.side[q] == 0 else first
-            for e in range(state.token_start[i], state.token_start[i + 1]):
-                j = state.holder[other, state.token[e]]
+            for e in range(state.group_start[i], state.group_start[i + 1]):
+                j = state.holder[other, state.group[e]]
                 if j >= 0 and scratch.unit[scratch.position[j]] < 0:
                     scratch.unit[scratch.position[j]] = units
                     scratch.chain[stack] = scratch.position[j]
@@ -174,8 +168,8 @@ def _units(state, scratch, first, second, count):  # type: ignore[no-untyped-def
 
 
 @inner
-def _flips(state, scratch, count, units):  # type: ignore[no-untyped-def]
-    """What it costs each unit to change sides: its nodes' gains, less what they count twice."""
+def _flips(state, scratch, count, units):
+    """Change of the cost by each unit: that of its nodes, without pairs inside it."""
     for u in range(units):
         scratch.flip[u] = 0.0
         scratch.locked[u] = False
@@ -190,7 +184,8 @@ def _flips(state, scratch, count, units):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _change_sides(state, scratch, chosen, count):  # type: ignore[no-untyped-def]
+def _change_sides(state, scratch, chosen, count):
+    """Update what the other units cost after one of them changes sides."""
     for p in range(count):
         if scratch.unit[p] != chosen:
             continue
@@ -205,7 +200,7 @@ def _change_sides(state, scratch, chosen, count):  # type: ignore[no-untyped-def
 
 
 @inner
-def _apply(state, scratch, first, second, count):  # type: ignore[no-untyped-def]
+def _apply(state, scratch, first, second, count):
     """Let the units that are marked as locked change sides: all leave, then all enter."""
     for p in range(count):
         if scratch.locked[scratch.unit[p]]:

@@ -1,4 +1,4 @@
-"""Re-matching of the nodes that carry one token to the clusters, by linear assignment."""
+"""Linear assignment of one view: the nodes of a group choose their clusters all at once."""
 
 from __future__ import annotations
 
@@ -10,36 +10,24 @@ from mixer_torch.solvers.compiled import NONE, compiled, inner
 from mixer_torch.solvers.search.clustering import enter, leave
 
 
-class Matching(NamedTuple):
-    """Scratch of :func:`rematch` and :func:`assign`, for r rows and q columns.
+class Assignment(NamedTuple):
+    """Scratch of :func:`reassign_groups` and :func:`assign`, for r rows and q columns."""
 
-    Args:
-        cost: (r, q) of each row in each column.
-        match: (q,) the row of each column, -1 for none.
-        row_price: (r,) and
-        column_price: (q,) dual variables.
-        distance: (q,) reduced cost of the shortest path to a column,
-        came_from: (q,) the column before it on that path,
-        done: (q,) and whether it is final.
-        choice: (r,) the slot of each row.
-        moved: (r,) whether it is another one than before.
-    """
-
-    cost: np.ndarray
-    match: np.ndarray
-    row_price: np.ndarray
-    column_price: np.ndarray
-    distance: np.ndarray
-    came_from: np.ndarray
-    done: np.ndarray
-    choice: np.ndarray
-    moved: np.ndarray
+    cost: np.ndarray  # (r, q) of each row in each column
+    match: np.ndarray  # (q,) the row of each column, -1 for none
+    row_price: np.ndarray  # (r,) dual variables
+    column_price: np.ndarray  # (q,) dual variables
+    distance: np.ndarray  # (q,) reduced cost of the shortest path to a column
+    came_from: np.ndarray  # (q,) the column before it on that path
+    done: np.ndarray  # (q,) whether it is final
+    choice: np.ndarray  # (r,) the slot of each row, -1 for a new one
+    moved: np.ndarray  # (r,) whether it is another one than before
 
 
 @compiled
-def matching_scratch(rows, columns):  # type: ignore[no-untyped-def]
-    """Scratch for problems of up to that size."""
-    return Matching(
+def assignment_scratch(rows, columns):
+    """Scratch for assignments of up to that size."""
+    return Assignment(
         np.empty((rows, columns)),
         np.empty(columns, np.int64),
         np.empty(rows),
@@ -53,7 +41,7 @@ def matching_scratch(rows, columns):  # type: ignore[no-untyped-def]
 
 
 @inner
-def assign(scratch, rows, columns):  # type: ignore[no-untyped-def]
+def assign(scratch, rows, columns):
     """Minimum-cost assignment of each row to a column of its own, by shortest augmenting paths.
 
         minimise  sum over rows of cost[row, match(row)],  all match(row) different
@@ -83,7 +71,7 @@ def assign(scratch, rows, columns):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _shortest_path(scratch, row, columns):  # type: ignore[no-untyped-def]
+def _shortest_path(scratch, row, columns):
     """From a row to the nearest column without one, which is returned."""
     distance, done = scratch.distance, scratch.done
     for c in range(columns):
@@ -110,23 +98,31 @@ def _shortest_path(scratch, row, columns):  # type: ignore[no-untyped-def]
 
 
 @inner
-def rematch(state, scratch, carrier_start, carrier, since, tiny):  # type: ignore[no-untyped-def]
-    """Give the carriers of each token in turn their best clusters, all at once.
+def reassign_groups(state, scratch, member_start, member, since, tiny):
+    """Give the nodes of each group in turn their best clusters, by one linear assignment.
 
-    Carriers of one token are never together, so their costs to a cluster do not depend on where
-    the others go, and the best simultaneous choice is a linear assignment. A cluster is open to a
-    carrier if no node but carriers of the token stands in its way; being alone costs 0.
+    Nodes of one group are never together, so their costs to a cluster do not depend on where the
+    others go, and the best simultaneous choice is a linear assignment. A cluster is open to a node
+    if no other node stands in the way but those of the group; being alone costs 0.
+
+    Args:
+        state: The clustering, written.
+        scratch: An :class:`Assignment`, written.
+        member_start: (T + 1,) and
+        member: (K,) the nodes of each group, as :meth:`Graph.members` lists them.
+        since: Groups are skipped where nothing that matters changed after this time.
+        tiny: The least gain that counts.
 
     Returns:
         The change of the cost.
     """
     gained = 0.0
-    for t in range(len(carrier_start) - 1):
-        nodes = carrier[carrier_start[t] : carrier_start[t + 1]]
-        if not _conflict(state, nodes, since, tiny):
+    for t in range(len(member_start) - 1):
+        nodes = member[member_start[t] : member_start[t + 1]]
+        if not _may_gain(state, nodes, since, tiny):
             continue
         rows, slots = len(nodes), state.number[0]
-        before = _pose(state, scratch, nodes, t, tiny)
+        before = _fill_costs(state, scratch, nodes, t, tiny)
         assign(scratch, rows, slots + rows)
         after = 0.0
         for r in range(rows):
@@ -138,13 +134,13 @@ def rematch(state, scratch, carrier_start, carrier, since, tiny):  # type: ignor
                 after += scratch.cost[row, p]
         if after < before - tiny:
             gained += after - before
-            _follow(state, scratch, nodes)
+            _move_to_choices(state, scratch, nodes)
     return gained
 
 
 @inner
-def _pose(state, scratch, nodes, t, tiny):  # type: ignore[no-untyped-def]
-    """Costs of the assignment of the carriers of token t; returns what they cost now."""
+def _fill_costs(state, scratch, nodes, t, tiny):
+    """Write the costs of the assignment of group t; returns what its nodes cost now."""
     before, slots = 0.0, state.number[0]
     for r in range(len(nodes)):
         i = nodes[r]
@@ -159,8 +155,8 @@ def _pose(state, scratch, nodes, t, tiny):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _conflict(state, nodes, since, tiny):  # type: ignore[no-untyped-def]
-    """Whether a node would rather be elsewhere, and either slot changed: else nothing is gained."""
+def _may_gain(state, nodes, since, tiny):
+    """Whether a node costs less in another slot, and either slot changed: else nothing can gain."""
     for i in nodes:
         own = state.label[i]
         stay = state.total[own, i] - tiny
@@ -173,23 +169,24 @@ def _conflict(state, nodes, since, tiny):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _open(state, i, c, t):  # type: ignore[no-untyped-def]
+def _open(state, i, c, t):
+    """Whether all nodes of slot c that share a group with node i are in group t, too."""
     if state.size[c] == 1 and state.holder[c, t] >= 0 and state.holder[c, t] != i:
         return False
-    for e in range(state.token_start[i], state.token_start[i + 1]):
-        j = state.holder[c, state.token[e]]
-        if j >= 0 and j != i and state.token[e] != t:
-            carries = False
-            for f in range(state.token_start[j], state.token_start[j + 1]):
-                carries = carries or state.token[f] == t
-            if not carries:
+    for e in range(state.group_start[i], state.group_start[i + 1]):
+        j = state.holder[c, state.group[e]]
+        if j >= 0 and j != i and state.group[e] != t:
+            exempt = False
+            for f in range(state.group_start[j], state.group_start[j + 1]):
+                exempt = exempt or state.group[f] == t
+            if not exempt:
                 return False
     return True
 
 
 @inner
-def _follow(state, scratch, nodes):  # type: ignore[no-untyped-def]
-    """Move the nodes that change to their choice, -1 for a slot of one's own."""
+def _move_to_choices(state, scratch, nodes):
+    """All nodes that change leave their slots, then enter their choices."""
     choice, moved = scratch.choice, scratch.moved
     for r in range(len(nodes)):
         i = nodes[r]

@@ -1,4 +1,4 @@
-"""The best of two clusterings, part by part where they differ."""
+"""Partition crossover: of two clusterings the better one, in each part in which they differ."""
 
 from __future__ import annotations
 
@@ -10,39 +10,27 @@ from mixer_torch.solvers.compiled import NONE, compiled, inner
 from mixer_torch.solvers.search.clustering import restore
 
 
-class Kept(NamedTuple):
-    """The best clustering so far of n nodes, for a state of k slots.
+class Incumbent(NamedTuple):
+    """The best clustering so far of n nodes, for a state of k slots."""
 
-    Args:
-        label: (n,) slot of each node.
-        cost: (n,) of each node to the rest of its cluster.
-        credit: (n,) how often, and from how far, its cluster was found again since it was formed.
-        root: (2 k,) scratch: the slots of the state, then those that are kept, as a forest of what
-            belongs together;
-        joined: (2 k,) how many joins made each tree,
-        balance: (2 k,) and twice what the state costs there more than what is kept.
-        target: (k,) scratch: where a kept slot goes.
-        used: (k,) scratch: slots that are taken.
-    """
-
-    label: np.ndarray
-    cost: np.ndarray
-    credit: np.ndarray
-    root: np.ndarray
-    joined: np.ndarray
-    balance: np.ndarray
-    target: np.ndarray
-    used: np.ndarray
+    label: np.ndarray  # (n,) slot of each node
+    cost: np.ndarray  # (n,) of each node to the rest of its cluster
+    confirmed: np.ndarray  # (n,) how often its cluster was found again, a weighted count
+    root: np.ndarray  # (2 k,) scratch: union-find of the state's slots, then the incumbent's
+    joined: np.ndarray  # (2 k,) how many joins made each tree
+    balance: np.ndarray  # (2 k,) twice what the state costs more than the incumbent in each tree
+    target: np.ndarray  # (k,) scratch: where a slot of the incumbent goes
+    used: np.ndarray  # (k,) scratch: slots that are taken
 
 
 @compiled
-def keep(state, credit):  # type: ignore[no-untyped-def]
-    """What the state is now, with the credit that its nodes have."""
+def new_incumbent(state, confirmed):
+    """The present state as the best so far, with a count of confirmations for each node."""
     n, k = len(state.label), len(state.slot)
-    kept = Kept(
+    best = Incumbent(
         state.label.copy(),
         np.empty(n),
-        credit,
+        confirmed,
         np.empty(2 * k, np.int64),
         np.empty(2 * k, np.int64),
         np.empty(2 * k),
@@ -50,124 +38,126 @@ def keep(state, credit):  # type: ignore[no-untyped-def]
         np.empty(k, np.bool_),
     )
     for i in range(n):
-        kept.cost[i] = state.total[state.label[i], i]
-    return kept
+        best.cost[i] = state.total[state.label[i], i]
+    return best
 
 
 @inner
-def recombine(state, kept, region, count, share, tiny):  # type: ignore[no-untyped-def]
-    """Make the state and what is kept the better of the two, part by part.
+def partition_crossover(state, best, changed, count, weight, tiny):
+    """Make the state and the incumbent the better of the two, part by part.
 
     A part is a connected component of "share a node" among the clusters of both: no cluster of
     either reaches beyond it, so each part may be taken from the one or from the other, and the cost
-    is the sum over parts (as partition crossover does for tours: Whitley, Hains and Howe, GECCO
-    2009). At equal cost the state's is taken.
+    is the sum over parts (partition crossover of tours: Whitley, Hains and Howe, GECCO 2009). At
+    equal cost the state's is taken.
 
     Args:
         state: The clustering, written.
-        kept: The best so far, written.
-        region: Nodes that were moved about at random;
-        count: how many. Those whose cluster is the same as before gain credit; where a lower cost
-            is found, credit starts anew.
-        share: How much credit.
+        best: The incumbent, written.
+        changed: The nodes that were perturbed;
+        count: how many. Those whose cluster is the same as before are confirmed; where a lower
+            cost is found, the count of confirmations starts anew.
+        weight: Of this confirmation.
         tiny: The least gain that counts.
 
     Returns:
-        The change of the cost of what is kept, <= 0, and the number of nodes where the state was
+        The change of the cost of the incumbent, <= 0, and the number of nodes where the state was
         worse.
     """
-    _compare(state, kept)
+    _compare(state, best)
     for q in range(count):
-        if kept.joined[_root(kept, state.label[region[q]])] == 1:
-            kept.credit[region[q]] += share
+        if best.joined[_root(best, state.label[changed[q]])] == 1:
+            best.confirmed[changed[q]] += weight
     change, worse, lost, differs = 0.0, np.int64(0), False, False
     for i in range(len(state.label)):
-        root = _root(kept, state.label[i])
-        if kept.joined[root] == 1:
+        root = _root(best, state.label[i])
+        if best.joined[root] == 1:
             continue
-        balance = kept.balance[root]
+        balance = best.balance[root]
         lost, differs = lost or balance > 0, True
         worse += balance > 2 * tiny
         if balance <= 0:
-            change += 0.5 * (state.total[state.label[i], i] - kept.cost[i])
+            change += 0.5 * (state.total[state.label[i], i] - best.cost[i])
         if balance < -2 * tiny:
-            kept.credit[i] = 0.0
+            best.confirmed[i] = 0.0
     if lost:
-        _go_back(state, kept)
+        _go_back(state, best)
     if differs:
         for i in range(len(state.label)):
-            kept.label[i] = state.label[i]
-            kept.cost[i] = state.total[state.label[i], i]
+            best.label[i] = state.label[i]
+            best.cost[i] = state.total[state.label[i], i]
     return change, worse
 
 
 @inner
-def rest(state, kept, since):  # type: ignore[no-untyped-def]
-    """Let clusters that came back count as not changed after a time: what is kept is at rest."""
-    _compare(state, kept)
+def mark_unchanged(state, best, since):
+    """Date clusters that equal one of the incumbent back: moves have tried them before."""
+    _compare(state, best)
     for p in range(state.number[0]):
-        if kept.joined[_root(kept, state.slot[p])] == 1:
+        if best.joined[_root(best, state.slot[p])] == 1:
             state.stamp[state.slot[p]] = since
 
 
 @inner
-def is_confirmed(kept, enough):  # type: ignore[no-untyped-def]
-    """Whether all nodes have so much credit."""
-    return kept.credit[np.argmin(kept.credit)] >= enough
+def is_confirmed(best, enough):
+    """Whether the cluster of every node was found again so often."""
+    return best.confirmed[np.argmin(best.confirmed)] >= enough
 
 
 @inner
-def _compare(state, kept):  # type: ignore[no-untyped-def]
-    """Join the slots that share a node, and sum up the balance of each tree."""
+def _compare(state, best):
+    """Join the slots that share a node, and add up the balance of each tree."""
     n, k = len(state.label), len(state.slot)
     for i in range(n):
-        for c in (state.label[i], k + kept.label[i]):
-            kept.root[c], kept.joined[c], kept.balance[c] = c, 0, 0.0
+        for c in (state.label[i], k + best.label[i]):
+            best.root[c], best.joined[c], best.balance[c] = c, 0, 0.0
     for i in range(n):
-        a, b = _root(kept, state.label[i]), _root(kept, k + kept.label[i])
+        a, b = _root(best, state.label[i]), _root(best, k + best.label[i])
         if a != b:
-            kept.root[b] = a
-            kept.joined[a] += kept.joined[b] + 1
-            kept.balance[a] += kept.balance[b]
-        kept.balance[a] += state.total[state.label[i], i] - kept.cost[i]
+            best.root[b] = a
+            best.joined[a] += best.joined[b] + 1
+            best.balance[a] += best.balance[b]
+        best.balance[a] += state.total[state.label[i], i] - best.cost[i]
 
 
 @inner
-def _root(kept, c):  # type: ignore[no-untyped-def]
-    while kept.root[c] != c:
-        kept.root[c] = kept.root[kept.root[c]]
-        c = kept.root[c]
+def _root(best, c):
+    while best.root[c] != c:
+        best.root[c] = best.root[best.root[c]]
+        c = best.root[c]
     return c
 
 
 @inner
-def _go_back(state, kept):  # type: ignore[no-untyped-def]
-    """The state becomes what is kept where it is worse; kept labels become the state's.
+def _go_back(state, best):
+    """The state becomes the incumbent where it is worse.
 
-    Kept clusters have their own slots again, unless those are taken by clusters that stay.
+    Clusters return to the slots that they had, unless clusters that stay have taken those. The
+    incumbent's labels become those of the new state.
     """
     n = len(state.label)
     for c in range(len(state.slot)):
-        kept.used[c], kept.target[c] = False, NONE
+        best.used[c], best.target[c] = False, NONE
     for i in range(n):
-        if _stays(kept, state.label[i]):
-            kept.used[state.label[i]] = True
+        if _stays(best, state.label[i]):
+            best.used[state.label[i]] = True
     free = np.int64(0)
     for i in range(n):
-        c = kept.label[i]
-        if _stays(kept, state.label[i]):
-            kept.label[i] = state.label[i]
+        c = best.label[i]
+        if _stays(best, state.label[i]):
+            best.label[i] = state.label[i]
             continue
-        if kept.target[c] < 0:
-            while kept.used[free]:
+        if best.target[c] < 0:
+            while best.used[free]:
                 free += 1
-            kept.target[c] = free if kept.used[c] else c
-            kept.used[kept.target[c]] = True
-        kept.label[i] = kept.target[c]
-    restore(state, kept.label)
+            best.target[c] = free if best.used[c] else c
+            best.used[best.target[c]] = True
+        best.label[i] = best.target[c]
+    restore(state, best.label)
 
 
 @inner
-def _stays(kept, c):  # type: ignore[no-untyped-def]
-    root = _root(kept, c)
-    return kept.joined[root] == 1 or kept.balance[root] <= 0
+def _stays(best, c):
+    """Whether the state is not worse in the part of slot c."""
+    root = _root(best, c)
+    return best.joined[root] == 1 or best.balance[root] <= 0
