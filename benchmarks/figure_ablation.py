@@ -52,13 +52,8 @@ def make(out):
     algorithms = [name for name in comparison.SETTINGS if (name, sets[0]) in found]
     rows = [row for name in algorithms for key in sets for row in found[name, key]]
     report.ablation_figure(rows, sets, out / "ablation")
-    lines = ["| F1 | " + " | ".join(sets) + " |", "|---" * (len(sets) + 1) + "|"]
-    for name in algorithms:
-        means = [f"{results.mean(found[name, key], 'f1'):.3f}" for key in sets]
-        lines.append(f"| {name} | " + " | ".join(means) + " |")
-    text = "\n".join(lines) + "\n"
-    (out / "table.md").write_text(text)
-    return text
+    found = {name: {key: found[name, key] for key in sets} for name in algorithms}
+    return results.write_table(out, results.means("F1", found, sets, "f1", 3))
 
 
 def main(argv=None):

@@ -53,7 +53,28 @@ def read(path):
 
 def tabled(out, table):
     """Write table.md, made from nothing but the rows.csv in a folder; the text comes back."""
-    text = table(read(out / "rows.csv"))
+    return write_table(out, table(read(out / "rows.csv")))
+
+
+def means(head, groups, columns, key, digits):
+    """A Markdown table of the mean of a column: one row a group, one cell for each of its columns.
+
+    Args:
+        head: Of the first column.
+        groups: Rows by name of the row, then by name of the column.
+        columns: Names of the columns.
+        key: What is averaged.
+        digits: After the decimal point.
+    """
+    lines = [f"| {head} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+    for name, group in groups.items():
+        cells = [f"{mean(group[column], key):.{digits}f}" for column in columns]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def write_table(out, text):
+    """Write table.md to a folder; the text comes back."""
     (out / "table.md").write_text(text)
     return text
 

@@ -50,18 +50,12 @@ def make(out):
     report.sweep_figure(
         rows, {key: label for key, (label, _) in SWEEPS.items()}, out / "robustness"
     )
-    places = list(results.grouped(rows, "dataset"))
-    lines = [
-        "| F1 | " + " | ".join(place[0] for place in places) + " |",
-        "|---" * (len(places) + 1) + "|",
-    ]
-    for (algorithm,), group in results.grouped(rows, "algorithm").items():
-        points = results.grouped(group, "dataset")
-        means = [f"{results.mean(points[place], 'f1'):.2f}" for place in places]
-        lines.append(f"| {algorithm} | " + " | ".join(means) + " |")
-    text = "\n".join(lines) + "\n"
-    (out / "table.md").write_text(text)
-    return text
+    places = [place for (place,) in results.grouped(rows, "dataset")]
+    found = {
+        algorithm: {place: points for (place,), points in results.grouped(group, "dataset").items()}
+        for (algorithm,), group in results.grouped(rows, "algorithm").items()
+    }
+    return results.write_table(out, results.means("F1", found, places, "f1", 2))
 
 
 def main(argv=None):

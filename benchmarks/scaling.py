@@ -8,7 +8,7 @@ Three series, each step in a process of its own:
 - batch: 1,024 problems of about 50 observations, in one call and one after the other.
 
 Time does not grow with m everywhere: what fits into one matrix (1,000 nodes) is searched whole,
-the smaller the more often and the longer; larger problems are searched region by region.
+the smaller the more often and the longer; larger problems are searched subproblem by subproblem.
 
 The peer on the same input is greedy contraction alone (GAEC), and followed by Kernighan-Lin with
 joins (KLj): kernighan_lin.py, which shares no code with the solver. Dense problems are drawn with

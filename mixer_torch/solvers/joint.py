@@ -84,7 +84,7 @@ class Joint:
         A problem's labels depend neither on its neighbours nor on the threads.
 
         Returns:
-            Better labels, (parts, COURSE) the course of the search of each part, and whether time
+            Better labels, (parts, STATE_SIZE) the search state of each part, and whether time
             ran out.
         """
         threads = torch.get_num_threads()

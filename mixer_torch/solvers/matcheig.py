@@ -19,7 +19,7 @@ class MatchEIG(Synchronization):
     the magnitudes of the eigenvalues, entries below a threshold are dropped, and each block (i, j)
     is projected on the partial permutations by linear assignment.
 
-    Blocks are projected one by one, so the matches are one-to-one but **need not be cycle consistent**:
+    Each block is projected alone, so matches are one-to-one but **need not be cycle consistent**:
     there are labels where they are, and only links where they are not.
 
     Needs k: estimated by :func:`~mixer_torch.solvers.synchronization.universe_size` unless given.

@@ -32,8 +32,8 @@ class Mixer(Solver):
     ``stats`` tells ``binary_without_rounding``, ``iterations``, the last ``penalty`` and the
     ``history`` of the relaxed objective; with refinement also the number of ``parts``, how many
     were ``relaxed``, the objective of each stage (``objective_greedy``, ``objective_gradient`` and
-    ``objective_refined``), how many ``restarts`` ran, and ``gained``: what enumeration, descents,
-    reheats and disturbances have each lowered the objective by.
+    ``objective_refined``), how many ``restarts`` ran, and ``gained``: what enumeration, descent,
+    annealing and ruin and recreate have each lowered the objective by.
 
     Args:
         max_iterations: Steps of the gradient stage at most. Annealing takes 100, and is followed by

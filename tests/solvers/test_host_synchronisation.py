@@ -10,8 +10,7 @@ from pretended_device import DEVICE, Generator, PretendedDevice
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.gradient import relaxation
-from mixer_torch.solvers.gradient import annealing, descent
+from mixer_torch.solvers.gradient import annealing, descent, relaxation
 from mixer_torch.solvers.gradient.batch import Batch
 from mixer_torch.solvers.gradient.momentum import travel
 from mixer_torch.solvers.gradient.projection import project_rows

@@ -13,7 +13,7 @@ from torch import Tensor
 from mixer_torch.solvers.compiled import compiled
 from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.search.decomposition import Parts
-from mixer_torch.solvers.search.graph import Graph, shares_token
+from mixer_torch.solvers.search.graph import Graph, share_group
 
 ENTRIES_CPU = 2**15 - 1  # of a batch: torch splits larger elementwise kernels among threads
 LARGEST_CPU = 180  # observations of a problem up to which one thread is best
@@ -57,7 +57,7 @@ class Batch:
         m, dtype = int(size.max()), str(like.dtype).removeprefix("torch.")
         cost, apart = np.zeros((2, len(size), m, m), dtype)
         _fill(
-            graph.start, graph.neighbour, graph.cost, graph.token_start, graph.token,
+            graph.start, graph.neighbour, graph.cost, graph.group_start, graph.group,
             parts.order, parts.start, np.array(chosen), cost, apart,
         )  # fmt: skip
         mask = torch.arange(m) < torch.from_numpy(size)[:, None]
@@ -134,7 +134,7 @@ def _distinctness(problems: Sequence[Problem], mask: Tensor, like: Tensor) -> Te
 
 @compiled
 def _fill(  # type: ignore[no-untyped-def]
-    start, neighbour, cost, token_start, token, order, part_start, chosen, dense, apart
+    start, neighbour, cost, group_start, group, order, part_start, chosen, dense, apart
 ):
     index = np.full(len(start) - 1, -1, np.int64)
     for b in range(len(chosen)):
@@ -147,7 +147,7 @@ def _fill(  # type: ignore[no-untyped-def]
                 if index[neighbour[e]] >= 0:
                     dense[b, i, index[neighbour[e]]] = cost[e]
             for j in range(i):
-                if shares_token(token_start, token, a, nodes[j]):
+                if share_group(group_start, group, a, nodes[j]):
                     apart[b, i, j] = apart[b, j, i] = 1
         for a in nodes:
             index[a] = -1

@@ -26,7 +26,9 @@ def greedy(graph: Graph) -> np.ndarray:
     return _contract(graph.start, graph.neighbour, graph.cost, graph.group_start, graph.group)
 
 
-_ROOT = np.int64(0)  # of the heap
+# The heap is two arrays: one of tuples with heapq, compiled, makes contraction take 1.2 times as
+# long for a million pairs, and twice as long for 300.
+_ROOT = np.int64(0)
 
 
 class Cells(NamedTuple):

@@ -32,8 +32,8 @@ GAINS = {  # entries that hold the change of the cost by a kind of search
 class Settings(NamedTuple):
     """The numbers of the search.
 
-    Set by hand on problems of ``benchmarks/quality.py``; ``benchmarks/sensitivity.py`` shows what
-    half and twice of each do to the gap and to the time.
+    They were set by hand. ``benchmarks/sensitivity.py`` shows what half and twice of each do to the
+    answers and to the time.
     """
 
     confirmations_few: float = 0.03  # how often clusters are found again before the search ends:

@@ -14,7 +14,7 @@ from mixer_torch.solvers.search.greedy import greedy
 from mixer_torch.solvers.search.iterated_local_search import STATE_SIZE, new_search_state
 from mixer_torch.solvers.search.subproblem import Labelling, search_subproblem
 
-# Set by hand: see benchmarks/sensitivity.py for half and twice of each.
+# Set by hand; benchmarks/sensitivity.py shows what half and twice of each do.
 SUBPROBLEM = 96  # nodes that may move in one subproblem
 SWEEPS = 50  # most sweeps of node moves over all nodes at one level
 
