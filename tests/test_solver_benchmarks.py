@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from mixer_torch.benchmarks import kernighan_lin, quality, results, scaling, table1
+from mixer_torch.benchmarks import kernighan_lin, quality, results, scaling, sensitivity, table1
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.exact import Exact
 from mixer_torch.solvers.problem import problem_of
+from mixer_torch.solvers.search import iterated_local_search, subproblem
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy
 
@@ -81,3 +82,18 @@ def test_scaling_compares_with_the_peer(tmp_path):
     text = scaling.main(["--out", str(tmp_path), "--from_rows"])
     assert "GAEC + KLj" in text
     assert (tmp_path / "scaling.png").stat().st_size > 0
+
+
+def test_sensitivity_changes_one_number_and_makes_its_table(tmp_path):
+    before = subproblem.SETTINGS
+    (first, *_), key = sensitivity.settings_with("sweeps", 10), before.sweeps
+    with first:
+        assert before._replace(sweeps=10) == iterated_local_search.SETTINGS
+    assert iterated_local_search.SETTINGS.sweeps == key
+    rows = [
+        dict(zip(sensitivity.COLUMNS, ("search", name, 1, factor, 0, answer, 2.0), strict=True))
+        for name, factor, answer in (("as set", 1, -4.0), ("cold", 0.5, -3.0), ("cold", 2, -4.0))
+    ]
+    results.write(tmp_path / "rows.csv", sensitivity.COLUMNS, rows)
+    text = sensitivity.main(["--out", str(tmp_path), "--from_rows"])
+    assert "| search | cold | +25.0000 | 1.00 | +0.0000 | 1.00 |" in text

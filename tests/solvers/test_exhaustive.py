@@ -10,32 +10,32 @@ from mixer_torch.solvers.search.exhaustive import LARGEST, enumerate_parts
 from mixer_torch.solvers.search.graph import Graph
 
 
-def side_by_side(sizes, seed, tokens):
+def side_by_side(sizes, seed, groups):
     """Random parts of given sizes in one graph, with their dense costs and forbidden pairs."""
     rng = np.random.default_rng(seed)
     blocks, n = [], sum(sizes)
-    cost, token, start = np.zeros((n, n)), np.empty(n, np.int64), 0
+    cost, group, start = np.zeros((n, n)), np.empty(n, np.int64), 0
     for size in sizes:
         own = slice(start, start + size)
-        token[own] = rng.integers(0, tokens, size) + 100 * start
+        group[own] = rng.integers(0, groups, size) + 100 * start
         block = np.triu(rng.normal(size=(size, size)), 1)
-        apart = (token[own][:, None] == token[own]) & ~np.eye(size, dtype=bool)
-        block[apart] = 0
+        conflict = (group[own][:, None] == group[own]) & ~np.eye(size, dtype=bool)
+        block[conflict] = 0
         cost[own, own] = block
-        blocks.append((block + block.T, apart))
+        blocks.append((block + block.T, conflict))
         start += size
     order = rng.permutation(n)  # parts need not be in one piece
     pairs = np.stack(np.nonzero(cost))
     graph = Graph.from_arrays(
-        n, order[pairs], cost[pairs[0], pairs[1]], np.stack([order[np.arange(n)], token])
+        n, order[pairs], cost[pairs[0], pairs[1]], np.stack([order[np.arange(n)], group])
     )
     return graph, blocks
 
 
-@pytest.mark.parametrize("tokens", [3, 50])
+@pytest.mark.parametrize("groups", [3, 50])
 @pytest.mark.parametrize("seed", range(5))
-def test_no_clustering_of_small_parts_is_better(seed, tokens):
-    graph, blocks = side_by_side([1, 2, 3, 5, 7, 8, 8], seed, tokens)
+def test_no_clustering_of_small_parts_is_better(seed, groups):
+    graph, blocks = side_by_side([1, 2, 3, 5, 7, 8, 8], seed, groups)
     label = np.arange(len(graph))
     parts = decompose(graph)
     changed = enumerate_parts(graph, parts, label)

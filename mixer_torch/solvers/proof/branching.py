@@ -20,8 +20,8 @@ from mixer_torch.solvers.search.graph import Graph, compact
 DECIDED = 1e-6  # x within this of 0 or 1 is; HiGHS is run at a tolerance of 1e-9
 PROVEN = 1e-7  # of the largest cost: no clustering is better by more
 # Set by hand; benchmarks/sensitivity.py shows what half and twice of each do to the time.
-ROUNDS = 3  # over which cuts have to close
-WORTH = 0.3  # this fraction of the gap, or the node is branched
+ROUNDS = 3  # of cuts that have to close a part of the gap; then slack cuts are dropped
+WORTH = 0.3  # that part of the gap; the node is branched where it is not closed
 ASCENT = 0.2  # of the time at most goes into dual ascent
 LARGEST = 400  # nodes of a linear program, 80,000 pairs; beyond, dual ascent has all the time
 

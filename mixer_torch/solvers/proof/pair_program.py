@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.sparse import csr_array, vstack
 
+from mixer_torch.extras import require
 from mixer_torch.solvers.proof.cuts import Cuts, PairVariables, lagrangian_bound
 
 TOLERANCE = 1e-9  # of HiGHS, which allows no less than 1e-10; a multiplier below it counts as 0
@@ -37,8 +38,7 @@ class PairProgram:
     """
 
     def __init__(self, cost: Float64[np.ndarray, "n n"], conflict: Bool[np.ndarray, "n n"]) -> None:
-        import highspy  # here, so that all that needs no linear program works without it
-
+        highspy = require("highspy", extra="exact")
         self.variables = PairVariables(conflict)
         self.cost = self.variables.vector(cost)
         count = len(self.cost)
