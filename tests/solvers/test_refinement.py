@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mixer_torch.solvers.problem import Problem, is_distinct, objective_of
-from mixer_torch.solvers.refinement import Effort, refine, refine_parts, restarts_of, told
+from mixer_torch.solvers.refinement import Effort, refine, refine_parts, restarts_of, summary
 from mixer_torch.solvers.search.decomposition import decompose
 from mixer_torch.solvers.search.graph import Graph
 from mixer_torch.solvers.search.greedy import greedy
@@ -111,7 +111,7 @@ def test_side_by_side_answers_as_each_alone() -> None:
     problems = [random_problem(seed, 5 + 4 * seed, 1 + seed) for seed in range(6)]
     key = np.concatenate([np.arange(len(problem)) for problem in problems])
     graph, effort = Graph.from_problems(problems), Effort(20, 5, np.inf, None)
-    together, courses, late = refine_parts(
+    together, states, late = refine_parts(
         graph, decompose(graph), np.arange(len(key)), effort, key
     )
     assert not late
@@ -126,7 +126,7 @@ def test_side_by_side_answers_as_each_alone() -> None:
         assert np.isclose(stats["objective"], objective_of(problem, torch.from_numpy(alone)))
         assert is_distinct(torch.from_numpy(alone), problem.view)
         offset += len(problem)
-    assert told(courses.sum(0))["restarts"] == restarts
+    assert summary(states.sum(0))["restarts"] == restarts
 
 
 @settings(max_examples=40, deadline=None)
