@@ -111,9 +111,7 @@ def test_side_by_side_answers_as_each_alone() -> None:
     problems = [random_problem(seed, 5 + 4 * seed, 1 + seed) for seed in range(6)]
     key = np.concatenate([np.arange(len(problem)) for problem in problems])
     graph, effort = Graph.from_problems(problems), Effort(20, 5, np.inf, None)
-    together, states, late = refine_parts(
-        graph, decompose(graph), np.arange(len(key)), effort, key
-    )
+    together, states, late = refine_parts(graph, decompose(graph), np.arange(len(key)), effort, key)
     assert not late
     restarts = 0
     offset = 0
