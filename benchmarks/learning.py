@@ -25,9 +25,10 @@ from mixer_torch.datasets import MOTChallenge, ParkingLot
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import calibration_metrics
 from mixer_torch.scorers import SIFT, Color, IoU, Proximity
-from mixer_torch.scorers.calibration import PiecewiseLinear
 from mixer_torch.scorers.calibrators import MonotoneSpline
-from mixer_torch.scorers.learned import SURE, EvidenceNetwork
+from mixer_torch.scorers.curves import PiecewiseLinear
+from mixer_torch.scorers.likelihood_ratio import log_ratio_of
+from mixer_torch.scorers.pair_network import MAX_LOG_RATIO, EvidenceNetwork, as_evidence
 from mixer_torch.train.calibration import has_both_kinds
 from mixer_torch.train.data import PairData, Rows
 from mixer_torch.train.evaluation import solved
@@ -40,10 +41,6 @@ SPARSE = (20 / 7, 40 / 7, 60 / 7)
 """Seconds between views of PETS 160-780, and the gaps that configs/pets.yaml compares."""
 DENSE = (5 / 7, 10 / 7, 15 / 7)
 """Seconds between views of TUD-Stadtmitte, every 18th frame, and twice and three times that."""
-
-
-def log_ratios(scores):
-    return torch.logit(scores.double(), eps=1e-6)
 
 
 def fit_calibrators(tables):
@@ -69,11 +66,11 @@ def apply(calibrators, evidence):
     return scores
 
 
-def sample(same, rivals=10, seed=0):
+def sample(same, negatives=10, seed=0):
     """All same pairs and some of the others, and the logit of the base rate among them."""
     different = (~same).nonzero()[:, 0]
     generator = torch.Generator().manual_seed(seed)
-    order = torch.randperm(len(different), generator=generator)[: rivals * int(same.sum())]
+    order = torch.randperm(len(different), generator=generator)[: negatives * int(same.sum())]
     chosen = torch.cat([same.nonzero()[:, 0], different[order]])
     return chosen, math.log(int(same.sum()) / max(len(order), 1))
 
@@ -81,7 +78,7 @@ def sample(same, rivals=10, seed=0):
 def fit_fusion(scores, same, names):
     """Weights and cap by log loss."""
     chosen, prior = sample(same)
-    ratio, truth = log_ratios(scores[:, chosen]), same[chosen].double()
+    ratio, truth = log_ratio_of(scores[:, chosen]), same[chosen].double()
     free = torch.full((len(scores) + 1,), 0.5413, dtype=torch.float64)
     free[-1] = 4.0
     free.requires_grad_()
@@ -102,7 +99,7 @@ def fit_network(scores, same, covariates, epochs=150):
     torch.manual_seed(0)
     network = EvidenceNetwork(len(scores), COVARIATES)
     network.covariates.learn(covariates)
-    ratio = as_input(scores[:, chosen])
+    ratio = as_evidence(scores[:, chosen])
     values, truth = covariates[chosen], same[chosen].float()
     optimiser = torch.optim.AdamW(network.parameters(), lr=5e-3, weight_decay=1e-2)
     for _ in range(epochs):
@@ -132,11 +129,6 @@ def choose_fusion(tables, names):
     return max(found, key=lambda name: sum(found[name]))
 
 
-def as_input(scores):
-    ratio = log_ratios(scores).float()
-    return ratio.where(scores != 0.5, ratio.new_full((), torch.nan))
-
-
 def measure(experiment, test, method, table, scores, names, fusion=None):
     """A row for each modality, and one for the solved problem."""
     rows = []
@@ -144,7 +136,7 @@ def measure(experiment, test, method, table, scores, names, fusion=None):
         known = table.evidence[k].isfinite() if len(names) > 1 else torch.ones_like(table.same)
         same = table.same[known]
         if 0 < int(same.sum()) < len(same):
-            found = calibration_metrics(log_ratios(scores[k][known]), same)
+            found = calibration_metrics(log_ratio_of(scores[k][known]), same)
             figures = {key: found[key] for key in ("cllr", "min_cllr", "ece")}
             rows.append({"modality": name, **figures})
     rows.append({"modality": "all", "f1": solved(table, scores, names, fusion)["f1"]})
@@ -167,7 +159,7 @@ def compare(experiment, data, tests, ceiling=False):
         by_hand = calibrated(data.scorers, table)
         after = apply(calibrators, table.evidence)
         with torch.no_grad():
-            ratio = network(as_input(after), table.covariates_of(COVARIATES)).nan_to_num(0.0)
+            ratio = network(as_evidence(after), table.covariates_of(COVARIATES)).nan_to_num(0.0)
         fused = torch.sigmoid(ratio)[None]
         methods = [
             ("by hand", by_hand, None),
@@ -183,7 +175,7 @@ def compare(experiment, data, tests, ceiling=False):
         for method, scores, rule in methods:
             found += measure(experiment, test, method, table, scores, names, rule)
         found += measure(
-            experiment, test, "network", table, fused, ("fused",), LogOddsFusion(cap=SURE)
+            experiment, test, "network", table, fused, ("fused",), LogOddsFusion(cap=MAX_LOG_RATIO)
         )
     return found
 

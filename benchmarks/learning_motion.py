@@ -2,11 +2,11 @@
 
 Motion is the distance between where both would be halfway in time, from the velocity that the
 frames between tell (MOTChallenge's window); the tracklet is what those make that are tracked from
-frame to frame (mixer_torch.scorers.Tracklet, of which the tracker's defaults were fitted on these sequences and
-three others). Each set of modalities, for pairs of up to 20, 40 and 60 frames (one, two and three
-views of the window), is trained on PETS frames 1-150 and TUD-Stadtmitte, whose table of truth tells
-where its ground is, in two ways: calibrators whose log odds add up, and the mean of eight networks
-over them, each blind to some persons. The embedding was trained on other persons yet
+frame to frame (mixer_torch.scorers.Tracklet; the tracker's defaults were fitted on these sequences
+and three others). Each set of modalities, for pairs of up to 20, 40 and 60 frames (one, two and
+three views of the window), is trained on PETS frames 1-150 and TUD-Stadtmitte, whose table of truth
+tells where its ground is, in two ways: calibrators whose log odds add up, and the mean of eight
+networks over them, each blind to some persons. The embedding was trained on other persons yet
 (configs/train/embedding.yaml, to be run first). It needs MIXER_DATA.
 
 "Held out" is measured in training alone: the persons of each sequence in four folds, each pair
@@ -48,18 +48,21 @@ from mixer_torch.benchmarks import results
 from mixer_torch.benchmarks.learning import (
     SPARSE,
     apply,
-    as_input,
     fit_calibrators,
-    log_ratios,
     sample,
 )
 from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.datasets import Dataset, MOTChallenge
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import cllr
-from mixer_torch.scorers import SIFT, Color, IoU, Motion, Proximity, Tracklet
-from mixer_torch.scorers.embedding import Embedding
-from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork
+from mixer_torch.scorers import SIFT, Color, Embedding, IoU, Motion, Proximity, Tracklet
+from mixer_torch.scorers.likelihood_ratio import log_ratio_of
+from mixer_torch.scorers.pair_network import (
+    MAX_LOG_RATIO,
+    EvidenceEnsemble,
+    EvidenceNetwork,
+    as_evidence,
+)
 from mixer_torch.tracking import Tracker
 from mixer_torch.tracking.tracked import Tracked
 from mixer_torch.train.data import Rows
@@ -91,7 +94,7 @@ VIEWS = (20, 71)
 TRAINING = ("PETS held out", "TUD held out")
 COVARIATES = ("time_gap",)
 MEMBERS = 8
-RULES = {"calibrators": LogOddsFusion(), "ensemble": LogOddsFusion(cap=SURE)}
+RULES = {"calibrators": LogOddsFusion(), "ensemble": LogOddsFusion(cap=MAX_LOG_RATIO)}
 
 
 def scorer(name, embedding):
@@ -138,7 +141,7 @@ class Candidate:
 
 def fit_ensemble(calibrators, trained_on, seed, epochs=100):
     rows = Rows(trained_on)
-    ratio, values = as_input(apply(calibrators, rows.evidence)), rows.covariates_of(COVARIATES)
+    ratio, values = as_evidence(apply(calibrators, rows.evidence)), rows.covariates_of(COVARIATES)
     chosen, _ = sample(rows.same, seed=seed)
     parts = parts_of_objects(rows.objects, MEMBERS, seed)
     part = torch.cat([parts, torch.tensor([-1])])[rows.objects[:, chosen]]  # -1: clutter's
@@ -160,7 +163,9 @@ def fit_ensemble(calibrators, trained_on, seed, epochs=100):
 
 @torch.no_grad()
 def ensemble_scores(network, calibrators, table):
-    ratio = network(as_input(apply(calibrators, table.evidence)), table.covariates_of(COVARIATES))
+    ratio = network(
+        as_evidence(apply(calibrators, table.evidence)), table.covariates_of(COVARIATES)
+    )
     return torch.sigmoid(ratio.nan_to_num(0.0).double())[None]
 
 
@@ -168,7 +173,7 @@ def figures(table, scores, fusion, chosen):
     """Cllr of all pairs, F1 of those that are chosen."""
     names = [str(k) for k in range(len(scores))]
     return {
-        "cllr": float(cllr(log_ratios(scores).sum(0), table.same)),
+        "cllr": float(cllr(log_ratio_of(scores).sum(0), table.same)),
         "f1": solved(table.select(chosen), scores[:, chosen], names, fusion)["f1"],
     }
 
@@ -241,7 +246,7 @@ def at_every_offset(candidate):
         ("calibrators", apply(calibrators, unseen.evidence)),
         ("ensemble", ensemble_scores(network, calibrators, unseen)),
     ):
-        cost = float(cllr(log_ratios(scores).sum(0), unseen.same))
+        cost = float(cllr(log_ratio_of(scores).sum(0), unseen.same))
         said = candidate.said(method, f"all {len(unseen)} pairs from frame 160 on")
         rows.append({**said, "cllr": cost})
     return rows

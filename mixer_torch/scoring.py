@@ -26,7 +26,7 @@ class Calibrator(nn.Module):
     likelihood ratio of 1: the evidence has nothing to say. It is not a posterior probability.
 
     Most look at nothing but the evidence and define :meth:`forward`. One that depends on
-    circumstances as well (the time between two sightings, the size of the boxes) names the features
+    context as well (the time between two sightings, the size of the boxes) names the features
     that tell them in :attr:`needs` and defines :meth:`describe` and :meth:`calibrate`.
 
     Attributes:
@@ -40,11 +40,11 @@ class Calibrator(nn.Module):
         return evidence
 
     def describe(self, observations: Observations) -> Any:
-        """What to know of the circumstances of each observation; None by default."""
+        """What to know of the context of each observation; None by default."""
         return None
 
-    def calibrate(self, evidence: Tensor, circumstances: Any, pairs: Tensor) -> Tensor:
-        """Scores (P,) of finite evidence (P,) of pairs (2, P) under the circumstances described."""
+    def calibrate(self, evidence: Tensor, context: Any, pairs: Tensor) -> Tensor:
+        """Scores (P,) of finite evidence (P,) of pairs (2, P) under the context described."""
         return self(evidence)
 
 
@@ -99,8 +99,8 @@ class Scorer(nn.Module):
         """
         check_needs(self, observations)
         check_pairs(pairs, observations.view)
-        circumstances = self.calibrator.describe(observations)
-        return self.score_described(self.describe(observations), pairs, None, circumstances)
+        context = self.calibrator.describe(observations)
+        return self.score_described(self.describe(observations), pairs, None, context)
 
     @final
     def evidence(
@@ -122,14 +122,14 @@ class Scorer(nn.Module):
         description: Any,
         pairs: Tensor,
         progress: Progress | None = None,
-        circumstances: Any = None,
+        context: Any = None,
     ) -> Tensor:
         """:meth:`forward` after :meth:`describe`: for descriptions that were kept.
 
-        ``circumstances`` is what the calibrator's ``describe`` returned.
+        ``context`` is what the calibrator's ``describe`` returned.
         """
         return self._in_chunks(
-            lambda chunk: self._score_chunk(description, circumstances, chunk), pairs, progress
+            lambda chunk: self._score_chunk(description, context, chunk), pairs, progress
         )
 
     def _in_chunks(
@@ -152,11 +152,11 @@ class Scorer(nn.Module):
             )
         return evidence if evidence.is_floating_point() else evidence.float()
 
-    def _score_chunk(self, description: Any, circumstances: Any, pairs: Tensor) -> Tensor:
+    def _score_chunk(self, description: Any, context: Any, pairs: Tensor) -> Tensor:
         evidence = self._evidence(description, pairs)
         says = ~evidence.isnan()
         finite = evidence.where(says, evidence.new_zeros(()))
-        score = self.calibrator.calibrate(finite, circumstances, pairs)
+        score = self.calibrator.calibrate(finite, context, pairs)
         score = score.where(says, score.new_full((), NOTHING_TO_SAY))
         if not bool(((score >= 0) & (score <= 1)).all()):
             wrong = score[~((score >= 0) & (score <= 1))][0].item()
@@ -265,9 +265,9 @@ def score(
     for number, scorer in enumerate(scorers):
         if progress is not None:
             progress(f"{scorer.name}: observations", number, len(scorers))
-        circumstances = scorer.calibrator.describe(observations)
+        context = scorer.calibrator.describe(observations)
         description = scorer.describe(observations)
-        rows.append(scorer.score_described(description, chosen, progress, circumstances))
+        rows.append(scorer.score_described(description, chosen, progress, context))
     scores = torch.stack([row.float() for row in rows])
     return Affinity(chosen, scores, observations.view, unique_names([s.name for s in scorers]))
 

@@ -1,8 +1,10 @@
-"""Calibrators that are fitted to labelled pairs, from one parameter to a monotone spline."""
+"""Calibrators that are fitted to labelled pairs, and the files that keep them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -10,168 +12,70 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
+from mixer_torch.io.weights import load_weights, read_weights, write_weights
+from mixer_torch.observations import Observations
+from mixer_torch.scorers.curves import interpolate
 from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
+from mixer_torch.scoring import Calibrator
 
-PROBABILITY_EPS = 1e-6
+FORMAT = "mixer-torch calibrator 2"
+
+Direction = Literal["increasing", "decreasing", "either"]
+"""``increasing`` where more evidence means more alike, ``decreasing`` for distances, ``either`` for
+what the pairs of training say."""
 
 
 class Platt(LikelihoodRatio):
     """h(x) = a z + b with z the standardised evidence: logistic regression (Platt 1999).
 
     Args:
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
-        regularisation: Weight of a² and of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
+        covariates: See :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
+        regularisation: Weight of a² and of the covariates' weights squared in the loss.
+        covariates_as_evidence: See there.
     """
 
-    centre: Tensor
-    spread: Tensor
+    mean: Tensor
+    std: Tensor
 
     def __init__(
-        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
+        self,
+        covariates: Sequence[str] = (),
+        regularisation: float = 1e-4,
+        covariates_as_evidence: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation, counted)
+        super().__init__(covariates, regularisation, covariates_as_evidence)
         self.slope = nn.Parameter(torch.zeros((), dtype=torch.float64))
         self.intercept = nn.Parameter(torch.zeros((), dtype=torch.float64))
-        self.register_buffer("centre", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("spread", torch.ones((), dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("std", torch.ones((), dtype=torch.float64))
 
     def prepare(self, x: Float[Tensor, " P"], same: Bool[Tensor, " P"]) -> None:
-        self.centre.copy_(x.mean())
-        self.spread.copy_(x.std(correction=0).clamp(min=1e-9))
+        self.mean.copy_(x.mean())
+        self.std.copy_(x.std(correction=0).clamp(min=1e-9))
 
     def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
-        return self.slope * (x - self.centre) / self.spread + self.intercept
+        return self.slope * (x - self.mean) / self.std + self.intercept
 
     def penalty(self) -> Tensor:
         return super().penalty() + self.slope.square()
 
 
-class Temperature(LikelihoodRatio):
-    """h(x) = logit(x) / T of evidence that is a score already: temperature scaling (Guo et al.
-    2017). What was 0.5 stays 0.5.
-
-    Args:
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
-        regularisation: Weight of 1 / T² and of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
-    """
-
-    def __init__(
-        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
-    ) -> None:
-        super().__init__(covariates, regularisation, counted)
-        self.inverse = nn.Parameter(torch.full((), 0.5413, dtype=torch.float64))
-
-    @property
-    def temperature(self) -> Tensor:
-        """T > 0."""
-        return 1 / softplus(self.inverse)
-
-    def prepare(self, x: Float[Tensor, " P"], same: Bool[Tensor, " P"]) -> None:
-        _check_probabilities(type(self).__name__, x)
-
-    def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
-        return torch.logit(x, eps=PROBABILITY_EPS) * softplus(self.inverse)
-
-    def penalty(self) -> Tensor:
-        return super().penalty() + softplus(self.inverse).square()
-
-
-class Beta(LikelihoodRatio):
-    """h(x) = a log x - b log(1 - x) + c with a, b >= 0, of evidence in [0, 1]: beta calibration
-    (Kull et al. 2017), exact where both kinds of pairs have beta distributions.
-
-    Args:
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
-        regularisation: Weight of a² + b² and of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
-    """
-
-    def __init__(
-        self, covariates: Sequence[str] = (), regularisation: float = 1e-4, counted: bool = False
-    ) -> None:
-        super().__init__(covariates, regularisation, counted)
-        self.exponents = nn.Parameter(torch.zeros(2, dtype=torch.float64))
-        self.intercept = nn.Parameter(torch.zeros((), dtype=torch.float64))
-
-    def prepare(self, x: Float[Tensor, " P"], same: Bool[Tensor, " P"]) -> None:
-        _check_probabilities(type(self).__name__, x)
-
-    def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
-        a, b = softplus(self.exponents)
-        x = x.clamp(PROBABILITY_EPS, 1 - PROBABILITY_EPS)
-        return a * x.log() - b * torch.log1p(-x) + self.intercept
-
-    def penalty(self) -> Tensor:
-        return super().penalty() + softplus(self.exponents).square().sum()
-
-
-class Histogram(LikelihoodRatio):
-    """h(x) = log of the ratio of the two kinds' shares in the bin of x, with a prior count.
-
-    A bin holds n_s of N_s same and n_d of N_d different pairs; with the odds o = N_s / N_d,
-
-        h = log (n_s + 1) / (n_d + 1 / o) - log o,
-
-    which is 0 in an empty bin. The bins hold equal shares of the two kinds together, each kind
-    counted as one half. It need not be monotone.
-
-    Args:
-        bins: Number of bins at most; equal evidence is never parted.
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
-        regularisation: Weight of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
-
-    Raises:
-        ValueError: bins < 1.
-    """
-
-    edges: Tensor
-    values: Tensor
-
-    def __init__(
-        self,
-        bins: int = 15,
-        covariates: Sequence[str] = (),
-        regularisation: float = 1e-4,
-        counted: bool = False,
-    ) -> None:
-        super().__init__(covariates, regularisation, counted)
-        if bins < 1:
-            raise ValueError(f"bins: expected an integer >= 1, got {bins}")
-        self.bins = bins
-        self.register_buffer("edges", torch.zeros(0, dtype=torch.float64))
-        self.register_buffer("values", torch.zeros(1, dtype=torch.float64))
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        return {"bins": self.bins, **super().settings}
-
-    def prepare(self, x: Float[Tensor, " P"], same: Bool[Tensor, " P"]) -> None:
-        knots = balanced_quantiles(x, same, self.bins + 1)
-        self.edges = ((knots[1:] + knots[:-1]) / 2) if len(knots) <= 2 else knots[1:-1]
-        place = torch.searchsorted(self.edges, x, right=True)
-        of_same = torch.bincount(place[same], minlength=len(self.edges) + 1).double()
-        of_different = torch.bincount(place[~same], minlength=len(self.edges) + 1).double()
-        self.values = smoothed_log_ratio(of_same, of_different, self.counts[0] / self.counts[1])
-
-    def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
-        return self.values[torch.searchsorted(self.edges, x.detach(), right=True)] + 0 * x
-
-
 class Isotonic(LikelihoodRatio):
     """h(x), the monotone function of the greatest likelihood (Zadrozny and Elkan 2002).
 
-    Adjacent violators are pooled; the log likelihood ratio of a pool has a prior count as in
-    :class:`Histogram`, so that a pure pool is not infinitely sure. Straight lines between pools.
+    Adjacent violators are pooled. A pool that holds n_s of N_s same and n_d of N_d different pairs
+    has, with the odds o = N_s / N_d, the log likelihood ratio
+
+        h = log (n_s + 1) / (n_d + 1 / o) - log o,
+
+    whose prior counts keep a pool of one kind from being infinitely sure. Between pools h is
+    interpolated linearly.
 
     Args:
-        direction: ``increasing`` where more evidence means more alike, ``decreasing`` for
-            distances, ``either`` for what the pairs of training say.
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
+        direction: See :data:`Direction`.
+        covariates: See :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
+        covariates_as_evidence: See there.
 
     Raises:
         ValueError: direction is another.
@@ -182,12 +86,12 @@ class Isotonic(LikelihoodRatio):
 
     def __init__(
         self,
-        direction: Literal["increasing", "decreasing", "either"] = "either",
+        direction: Direction = "either",
         covariates: Sequence[str] = (),
         regularisation: float = 1e-4,
-        counted: bool = False,
+        covariates_as_evidence: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation, counted)
+        super().__init__(covariates, regularisation, covariates_as_evidence)
         self.direction = _checked(direction)
         self.register_buffer("knots", torch.zeros(1, dtype=torch.float64))
         self.register_buffer("values", torch.zeros(1, dtype=torch.float64))
@@ -208,8 +112,8 @@ class Isotonic(LikelihoodRatio):
         of_same = torch.zeros(int(pool.max()) + 1).to(x).index_add_(0, pool, hits)
         of_all = torch.zeros_like(of_same).index_add_(0, pool, total)
         odds = self.counts[0] / self.counts[1]
-        ratio = smoothed_log_ratio(of_same, of_all - of_same, odds)
-        # The prior count weighs more on small pools, which may part their order again.
+        ratio = ((of_same + 1) / (of_all - of_same + 1 / odds)).log() - odds.log()
+        # The prior counts weigh more on small pools, so neighbours may be out of order again.
         smooth = isotonic_regression(ratio.cpu().numpy(), weights=of_all.cpu().numpy()).x
         ends = torch.ones_like(pool, dtype=torch.bool)
         ends[1:-1] = (pool[1:-1] != pool[:-2]) | (pool[1:-1] != pool[2:])
@@ -218,12 +122,7 @@ class Isotonic(LikelihoodRatio):
         self.knots, self.values = (sign * knots).flip(flip), values.flip(flip)
 
     def ratio(self, x: Float[Tensor, " P"]) -> Float[Tensor, " P"]:
-        if len(self.knots) == 1:
-            return self.values.expand_as(x) + 0 * x
-        right = torch.searchsorted(self.knots, x.detach()).clamp(1, len(self.knots) - 1)
-        left = right - 1
-        share = (x - self.knots[left]) / (self.knots[right] - self.knots[left])
-        return torch.lerp(self.values[left], self.values[right], share.clamp(0, 1))
+        return interpolate(x, self.knots, self.values)
 
 
 class MonotoneSpline(LikelihoodRatio):
@@ -236,11 +135,10 @@ class MonotoneSpline(LikelihoodRatio):
 
     Args:
         knots: Number of knots at most.
-        direction: ``increasing`` where more evidence means more alike, ``decreasing`` for
-            distances, ``either`` for what the pairs of training say.
-        covariates: Names of covariates, see :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
+        direction: See :data:`Direction`.
+        covariates: See :class:`~mixer_torch.scorers.likelihood_ratio.LikelihoodRatio`.
         regularisation: Weight of the squared rises and of the covariates' squares in the loss.
-        counted: Whether covariates are evidence themselves.
+        covariates_as_evidence: See there.
 
     Raises:
         ValueError: knots < 2, or direction is another.
@@ -252,12 +150,12 @@ class MonotoneSpline(LikelihoodRatio):
     def __init__(
         self,
         knots: int = 10,
-        direction: Literal["increasing", "decreasing", "either"] = "either",
+        direction: Direction = "either",
         covariates: Sequence[str] = (),
         regularisation: float = 1e-4,
-        counted: bool = False,
+        covariates_as_evidence: bool = False,
     ) -> None:
-        super().__init__(covariates, regularisation, counted)
+        super().__init__(covariates, regularisation, covariates_as_evidence)
         if knots < 2:
             raise ValueError(f"knots: expected an integer >= 2, got {knots}")
         self.knots = knots
@@ -296,6 +194,87 @@ class MonotoneSpline(LikelihoodRatio):
         return super().penalty() + softplus(self.rises).square().sum()
 
 
+class Fitted(Calibrator):
+    """A calibrator that was fitted and saved: one line in a configuration.
+
+        calibrator: {class_path: Fitted, init_args: {path: SIFT.safetensors}}
+
+    Args:
+        path: What :func:`save_calibrator` or ``mixer-train fit`` wrote.
+
+    Attributes:
+        scorer: The scorer whose evidence it was fitted to, as ``class_path`` and ``init_args``;
+            None where it was not said.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is something else.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__()
+        self.path = Path(path)
+        self.fitted, self.scorer = load_calibrator(path)
+        self.needs = self.fitted.needs
+
+    def forward(self, evidence: Tensor) -> Tensor:
+        return self.fitted(evidence)
+
+    def describe(self, observations: Observations) -> Any:
+        return self.fitted.describe(observations)
+
+    def calibrate(self, evidence: Tensor, context: Any, pairs: Tensor) -> Tensor:
+        return self.fitted.calibrate(evidence, context, pairs)
+
+    def extra_repr(self) -> str:
+        return f"path={str(self.path)!r}"
+
+
+def save_calibrator(
+    path: str | Path, calibrator: LikelihoodRatio, scorer: Mapping[str, Any] | None = None
+) -> None:
+    """Write a safetensors file: the tensors, and as metadata the class and its arguments.
+
+    Args:
+        path: File to write, whole or not at all.
+        calibrator: Of a class of this file, or of a subclass of ``LikelihoodRatio`` of yours.
+        scorer: ``class_path`` and ``init_args`` of the scorer whose evidence it was fitted to.
+    """
+    settings = {
+        "class_path": _path_of(type(calibrator)),
+        "init_args": json.dumps(calibrator.settings),
+        "scorer": json.dumps(None if scorer is None else dict(scorer)),
+    }
+    write_weights(path, FORMAT, calibrator, settings)
+
+
+def load_calibrator(path: str | Path) -> tuple[LikelihoodRatio, dict[str, Any] | None]:
+    """Read what :func:`save_calibrator` wrote: the calibrator, and the scorer's settings.
+
+    Nothing that the file names is imported or run: its class must be one of this file, or a
+    subclass of ``LikelihoodRatio`` that is imported already.
+    """
+    tensors, found = read_weights(path, FORMAT)
+    known = {_path_of(kind): kind for kind in _subclasses(LikelihoodRatio)}
+    if found["class_path"] not in known:
+        raise ValueError(
+            f"{path}: no calibrator {found['class_path']!r} is imported; there are "
+            f"{', '.join(sorted(known))}"
+        )
+    calibrator = known[found["class_path"]](**json.loads(found["init_args"]))
+    load_weights(path, calibrator, tensors)
+    return calibrator.requires_grad_(False), json.loads(found["scorer"])
+
+
+def _path_of(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _subclasses(kind: type[LikelihoodRatio]) -> list[type[LikelihoodRatio]]:
+    children = kind.__subclasses__()
+    return [*children, *(other for child in children for other in _subclasses(child))]
+
+
 def balanced_quantiles(
     x: Float[Tensor, " P"], same: Bool[Tensor, " P"], count: int
 ) -> Float[Tensor, " k"]:
@@ -306,11 +285,6 @@ def balanced_quantiles(
     place = torch.searchsorted(weight.cumsum(0), wanted).clamp(max=len(x) - 1)
     place[0], place[-1] = 0, len(x) - 1
     return torch.unique(x[order[place]])
-
-
-def smoothed_log_ratio(same: Tensor, different: Tensor, odds: Tensor) -> Tensor:
-    """The value of log (n_s + 1) / (n_d + 1 / o) - log o: 0 where there is nothing."""
-    return ((same + 1) / (different + 1 / odds)).log() - odds.log()
 
 
 def _sign(direction: str, x: Tensor, same: Tensor) -> float:
@@ -327,9 +301,3 @@ def _checked(direction: str) -> str:
             f"direction: expected 'increasing', 'decreasing' or 'either', got {direction!r}"
         )
     return direction
-
-
-def _check_probabilities(name: str, x: Tensor) -> None:
-    if not bool(((x >= 0) & (x <= 1)).all()):
-        wrong = x[~((x >= 0) & (x <= 1))][0].item()
-        raise ValueError(f"evidence: {name} takes values in [0, 1], got {wrong}")

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from mixer_torch.extras import require
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
 
 GREY = "grey"
@@ -22,12 +23,13 @@ HUES = {
     "blue": 265.0,
     "purple": 345.0,
 }
-"""Upper end of each hue in degrees; red goes around."""
+"""Upper end of each hue, degrees, by the usual names of the colour circle; red goes around 0."""
 NAMES = (GREY, *HUES, "black", "white")
 SIZE = (32, 64)
-"""Width and height in pixels that each crop is brought to, so that all cost and count the same."""
-UNLIKE = 5
-"""Crops with nothing in common that the mean is taken with: a few that are all alike stay alike."""
+"""Width and height, pixels, to which crops are resized: a convention, the shape of a person."""
+FEW = 5
+"""Zero vectors that are averaged into the mean: shrinkage, so that a few crops that are all alike
+are not centred away. A convention."""
 
 
 class Color(Scorer):
@@ -36,23 +38,23 @@ class Color(Scorer):
     ``semantic`` is the paper's: 1 where the names of the dominant colours agree, 0 where they do
     not, 0.5 where either is grey, which stands for inconclusive.
 
-    ``histogram`` compares distributions over hue, saturation and brightness, part by part from top
-    to bottom (so that shirt and trousers do not mix), pixels near the vertical axis of the box
-    counting most (so that the background does not). With d the square roots of a crop's part-wise
-    frequencies and c their mean over all observations (shrunk where there are few), the evidence
-    is the cosine of d_a - c and d_b - c: subtracting what all have in common leaves two strangers
-    at 0 on average, without labels, whatever the scene's light. The logistic set by hand has its
-    midpoint above that: on PETS 2009 and TUD-Stadtmitte the likelihood ratio is 1 at about 0.25,
-    and its logarithm grows by 8 to 10 a unit. The default stays 0.1 above, because clothes that are
-    alike are so in every view, so that the same mistake would be counted many times.
+    ``histogram`` compares distributions over hue, saturation and brightness in horizontal parts
+    (so that shirt and trousers do not mix), in which pixels near the vertical axis of the box weigh
+    most (so that the background does not). With d the square roots of a crop's frequencies in all
+    parts and c their mean over all observations (shrunk where there are few), the evidence is the
+    cosine of d_a - c and d_b - c: subtracting what all have in common leaves two different objects
+    at 0 on average, without labels, whatever the scene's light. On PETS 2009 and TUD-Stadtmitte the
+    likelihood ratio is 1 at about 0.25, and its logarithm grows by 8 to 10 a unit. The default
+    midpoint is 0.1 above, because clothes that are alike are so in every view: errors of many pairs
+    are correlated.
 
     Args:
         mode: ``semantic`` or ``histogram``.
-        parts: Parts from top to bottom, for the histogram.
+        parts: Horizontal parts, of the histogram.
         focus: Standard deviation of the weight across the box, as a share of its width.
         midpoint: Evidence of the histogram at which the score is 0.5.
         slope: Log likelihood ratio gained by a unit of that evidence, nats.
-        min_pixels: Crops of fewer pixels say nothing.
+        min_pixels: Crops of fewer pixels are not compared.
         calibrator: Takes the place of the one set by hand (which passes on 0 and 1 in the
             semantic mode).
 
@@ -125,7 +127,7 @@ class Color(Scorer):
 
 def _centred(histograms: Float[Tensor, "m d"]) -> Float[Tensor, "m d"]:
     known = histograms.isfinite().all(1)
-    centre = histograms[known].sum(0) / (int(known.sum()) + UNLIKE)
+    centre = histograms[known].sum(0) / (int(known.sum()) + FEW)
     return torch.nn.functional.normalize(histograms - centre, dim=1)
 
 
@@ -179,11 +181,11 @@ def dominant_color(
     chromatic_share: float = 0.25,
     achromatic_share: float = 0.5,
 ) -> str:
-    """Name of the dominant colour of what is in the middle of a crop.
+    """Name of the dominant colour in the middle of a crop.
 
-    Pixels near the middle count most, burnt-out highlights not at all. A hue needs a smaller share
-    than black or white do, because windows, tyres, shadow and asphalt are without colour on
-    objects of every colour.
+    Pixels near the middle weigh most, saturated highlights nothing. A hue needs a smaller share
+    than black or white do, because windows, tyres, shadow and asphalt are achromatic on objects of
+    every colour. The thresholds on saturation and value are conventions.
 
     Args:
         crop: RGB.
@@ -211,8 +213,7 @@ def dominant_color(
 
 
 def _hsv(crop: UInt8[np.ndarray, "height width 3"]) -> Float[np.ndarray, "64 32 3"]:
-    """A crop at the size all have, as hue in degrees, saturation and value in [0, 1]."""
-    import cv2
-
+    """A crop, resized, as hue in degrees, saturation and value in [0, 1]."""
+    cv2 = require("cv2", extra="vision")
     image = cv2.resize(np.ascontiguousarray(crop), SIZE, interpolation=cv2.INTER_AREA)
     return cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2HSV)

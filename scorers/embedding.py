@@ -14,33 +14,36 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
+from mixer_torch.extras import require
+from mixer_torch.io.weights import load_weights, read_weights, write_weights
 from mixer_torch.observations import Images, Observations
-from mixer_torch.scorers.calibration import Logistic
-from mixer_torch.scorers.fitted import read_safetensors, write_safetensors
+from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scorers.neighbours import jaccard, reciprocal_encoding
 from mixer_torch.scoring import Calibrator, Scorer
 
 FORMAT = "mixer-torch embedding 2"
 BATCH = 128
-"""Crops embedded at a time."""
+"""Crops embedded at a time; a convention."""
 FEW = 5
-"""Vectors at 0 that a camera's mean is taken with: of a few that are all alike, much stays."""
+"""Zero vectors that are averaged into a camera's mean: shrinkage, so that a few vectors that are
+all alike are not centred away. A convention."""
 COSINE = 0.3
 """Share of the cosine in the evidence, beside that of the neighbours (Zhong et al. 2017)."""
-MEAN, SPREAD = 0.45, 0.25
-"""Of the values of common photographs, about."""
+MEAN, STD = 0.45, 0.25
+"""About those of the values of ImageNet, over all channels."""
 
 
 class EmbeddingNetwork(nn.Module):
     """A compact convolutional network from crops to unit vectors.
 
-    The first block is standardised in each image by itself, which takes off much of its light;
-    features are pooled in strips from top to bottom, so that shirt and trousers do not mix.
+    Four blocks of convolution, normalisation and ReLU. The first has instance normalisation, which
+    removes much of an image's illumination (Pan et al. 2018); features are pooled in horizontal
+    strips, so that shirt and trousers do not mix (Sun et al. 2018).
 
     Args:
         dimension: Of the vectors.
         width: Channels of the first block; later ones have 2, 4 and 6 times as many.
-        strips: Strips from top to bottom.
+        strips: Horizontal strips.
     """
 
     def __init__(self, dimension: int = 128, width: int = 24, strips: int = 8) -> None:
@@ -61,31 +64,36 @@ class EmbeddingNetwork(nn.Module):
 
     def forward(self, crops: Float[Tensor, "B 3 height width"]) -> Float[Tensor, "B d"]:
         """Unit vectors of RGB crops with values in [0, 1]."""
-        pooled = self.pool(self.features((crops - MEAN) / SPREAD)).flatten(1)
+        pooled = self.pool(self.features((crops - MEAN) / STD)).flatten(1)
         return normalize(self.head(pooled), dim=1)
 
 
 class Embedding(Scorer):
-    """Same look, same object: the cosine of two appearance vectors.
+    """Same appearance, same object: the cosine of two appearance vectors.
+
+    With ``reciprocal`` the evidence is 0.3 cosine + 0.7 Jaccard similarity of the k-reciprocal
+    neighbours, which is re-ranking (Zhong et al. 2017) and takes time and memory of m².
 
     Args:
         path: Where the vectors come from: a ``.safetensors`` file that ``mixer-train`` wrote, or a
             network of your own as TorchScript (``.pt``, ``.ts``) or ONNX (``.onnx``), which takes
             (B, 3, height, width) RGB in [0, 1] and returns (B, d). If None, the feature is used.
         feature: Vectors that were computed elsewhere.
-        height: Pixels that crops are brought to for a network.
-        width: Pixels that crops are brought to for a network.
-        mirror: Whether a network sees each crop mirrored, too; the vector is the mean of the two.
-        centre: Whether to subtract from each vector the mean of its camera's, which takes off what
+        height: Of the crops as resized for a network, pixels.
+        width: Of the crops as resized for a network, pixels.
+        mirror: Whether to average the vectors of each crop and its mirror image.
+        centre: Whether to subtract from each vector the mean of its camera's, which removes what
             all crops of a camera have in common: its light, its background. For cameras that saw
             several objects each; needs the feature ``camera``.
+        reciprocal: k of the k-reciprocal neighbours: about as many as there are observations of an
+            object; 0 for the cosine alone.
         slope: Log likelihood ratio gained by a unit of cosine, nats, set by hand.
         midpoint: Cosine at which the score is 0.5, set by hand.
         calibrator: Takes the place of the one set by hand.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: The file is of no kind that is known, or a size is not positive.
+        ValueError: The file is of no known kind, a size is not positive, or reciprocal is negative.
     """
 
     chunk = 1 << 14
@@ -117,7 +125,7 @@ class Embedding(Scorer):
         self.network = None if path is None else load_embedder(Path(path))
 
     def describe(self, observations: Observations) -> Tensor | tuple[Tensor, Tensor]:
-        """(m, d) unit vectors, NaN where there is none; with the sets of neighbours, if wanted."""
+        """(m, d) unit vectors, NaN where there is none; with ``reciprocal``, encodings too."""
         if self.network is None:
             value = observations[self.feature].flatten(1)
             value = value if value.is_floating_point() else value.float()
@@ -144,7 +152,7 @@ def embed(
     mirror: bool = False,
     device: torch.device | str = "cpu",
 ) -> Float[Tensor, "m d"]:
-    """Unit vectors of crops, some at a time; with ``mirror``, of each and its mirror image."""
+    """Unit vectors of crops, in batches; with ``mirror``, means with those of the mirror images."""
     found = []
     with torch.no_grad():
         for part in crops.split(BATCH) if len(crops) else ():
@@ -156,7 +164,7 @@ def embed(
 
 
 def centred(vectors: Float[Tensor, "m d"], camera: Int64[Tensor, " m"]) -> Float[Tensor, "m d"]:
-    """Unit vectors without the mean of their camera's (which counts :data:`FEW` vectors at 0)."""
+    """Unit vectors less the mean of their camera's, shrunk by :data:`FEW` zero vectors."""
     found = vectors.clone()
     for own in torch.unique(camera):
         known = (camera == own) & vectors.isfinite().all(1)
@@ -165,8 +173,8 @@ def centred(vectors: Float[Tensor, "m d"], camera: Int64[Tensor, " m"]) -> Float
 
 
 def crops_of(images: Images | None, size: Sequence[int]) -> Float[Tensor, "m 3 height width"]:
-    """All crops, brought to one (height, width), with values in [0, 1]."""
-    import cv2
+    """All crops, resized to (height, width), with values in [0, 1]."""
+    cv2 = require("cv2", extra="vision")
 
     height, width = size
     found = torch.zeros(0 if images is None else len(images), 3, height, width)
@@ -177,14 +185,14 @@ def crops_of(images: Images | None, size: Sequence[int]) -> Float[Tensor, "m 3 h
 
 
 def load_embedder(path: Path) -> Callable[[Tensor], Tensor]:
-    """A function from crops to vectors, by the ending of the file."""
+    """A function from crops to vectors, of the kind that the suffix of the file says."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: not found")
     if path.suffix == ".safetensors":
-        tensors, settings = read_safetensors(path, FORMAT)
+        tensors, settings = read_weights(path, FORMAT)
         sizes = {key: int(settings[key]) for key in ("dimension", "width", "strips")}
         network = EmbeddingNetwork(**sizes)
-        network.load_state_dict(tensors)
+        load_weights(path, network, tensors)
         return network.eval().requires_grad_(False)
     if path.suffix in (".pt", ".ts"):
         try:
@@ -200,8 +208,7 @@ class _OnnxNetwork:
     """An ONNX file run on the CPU: by OpenCV, or, where that cannot read it, by onnxruntime."""
 
     def __init__(self, path: Path) -> None:
-        import cv2
-
+        cv2 = require("cv2", extra="vision")
         try:
             network = cv2.dnn.readNetFromONNX(str(path))
         except cv2.error as error:
@@ -219,7 +226,10 @@ def _run_by_opencv(network: Any, crops: np.ndarray) -> np.ndarray:
 
 
 def _run_by_onnxruntime(path: Path, error: Exception) -> Callable[[np.ndarray], np.ndarray]:
-    """A function of crops; ValueError where this is no better than OpenCV, which gave the error."""
+    """A function of crops; ValueError where onnxruntime does not read the file either.
+
+    ``error`` is OpenCV's.
+    """
     try:
         from onnxruntime import InferenceSession
     except ImportError:
@@ -239,4 +249,4 @@ def _run_by_onnxruntime(path: Path, error: Exception) -> Callable[[np.ndarray], 
 def save_embedding(path: str | Path, network: EmbeddingNetwork) -> None:
     """Write a safetensors file that :class:`Embedding` takes."""
     settings = {key: str(value) for key, value in network.settings.items()}
-    write_safetensors(path, network, {"format": FORMAT, **settings})
+    write_weights(path, FORMAT, network, settings)

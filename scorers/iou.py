@@ -7,7 +7,7 @@ from torch import Tensor
 
 from mixer_torch.boxes import paired_iou
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibration import PiecewiseLinear
+from mixer_torch.scorers.curves import PiecewiseLinear
 from mixer_torch.scoring import Calibrator, Scorer
 
 

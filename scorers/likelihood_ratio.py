@@ -1,11 +1,11 @@
-"""What fitted calibrators have in common: a log likelihood ratio that is learned and never wild."""
+"""Base class of fitted, bounded log-likelihood-ratio calibrators, and how they are fitted."""
 
 from __future__ import annotations
 
 import copy
 import math
-from abc import abstractmethod
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -15,47 +15,51 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus
 
 from mixer_torch.observations import Observations
 from mixer_torch.scorers.covariates import Covariates, Features, support
-from mixer_torch.scorers.fitting import (
-    best_factor,
-    best_shift,
-    gathered,
-    logistic_regression,
-    minimise,
-    thinned,
-)
+from mixer_torch.scorers.curves import labelled_pairs, logistic_regression
 from mixer_torch.scoring import Calibrator
 
 FOLDS = 4
-CONVINCING = 5.0
-"""Nats of held-out log likelihood that a calibrator has to gain before it may speak at all. Twice
-the gain that the best factor makes of noise is distributed as chi² of one degree of freedom, or 0
-where the best is none, so noise passes once in about a thousand times."""
+"""Of the cross-validation that chooses the shrinkage."""
+SIGNIFICANT = 5.0
+"""Nats of held-out log likelihood that a calibrator has to gain to be used at all. Twice the gain
+that the best factor makes of pure noise is distributed as chi² with one degree of freedom, or is 0
+where the best factor is 0, so noise passes once in about a thousand times."""
+BINS = 2_000
+"""Distinct values of the evidence at most, in fits without covariates, so that a fit takes a second
+whatever the number of pairs: each stands for at most 0.05 % of them."""
+MIN_NEGATIVES, NEGATIVES = 4_000, 4
+"""Different pairs that fits with covariates keep: at least so many, and so many for each same
+pair. With four for each the variance of the estimates is 5/4 of that with all of them."""
 
 
-class LikelihoodRatio(Calibrator):
-    """Score sigmoid(r) of evidence x under circumstances c, r a fitted log likelihood ratio:
+class LikelihoodRatio(Calibrator, ABC):
+    """Score sigmoid(r) of evidence x in the context c, r a fitted log likelihood ratio:
 
         r(x, c) = shrinkage * support(x, c) * ( exp(u · φ(c)) h(x) + v · ψ(c) ),
         -log(n_same + 1) <= r <= log(n_different + 1)
 
     h is what a subclass defines, monotone where it says so; φ(c) and ψ(c) are columns of the
     covariates, and without any there is no second factor or summand. Fitting minimises log loss of
-    r + logit P(same | c), in which the base rate under the circumstances is estimated apart: r is
-    then log p(x | same, c) - log p(x | different, c), at whatever rate matches occur, and
-    circumstances that make a match likely are no evidence by themselves, unless ``counted``.
+    r + logit P(same | c), in which the base rate P(same | c) is estimated separately: r is then
+    log p(x | same, c) - log p(x | different, c), at whatever rate matches occur, and a context
+    that makes a match likely is no evidence by itself, unless ``covariates_as_evidence``.
 
-    Three things keep it modest. It claims no larger ratio than the number of pairs of the other
-    kind that training saw. ``support`` falls to 0 outside of the range that training saw.
-    ``shrinkage`` in [0, 1] is the factor that is best on held-out pairs, and 0, which is a score of
-    0.5 everywhere, where holding out shows no gain: pure noise says nothing. Before it is fitted it
-    says nothing either.
+    Three safeguards: **bounds**, a ratio no larger than the number of pairs of the other kind that
+    training saw; **range limits**, as ``support`` falls to 0 outside of the range that training
+    saw; and **cross-validated shrinkage**, the factor in [0, 1] that is best on held-out pairs,
+    and 0, a score of 0.5 everywhere, where holding out shows no gain, as for pure noise. Before it
+    is fitted, every score is 0.5 too.
+
+    A subclass defines :meth:`prepare` and :meth:`ratio`, and :meth:`penalty` and
+    :attr:`settings` where it has parameters or arguments of its own.
 
     Args:
         covariates: Names of :data:`mixer_torch.scorers.covariates.COVARIATES`.
-        regularisation: Weight of the penalty that keeps parameters finite.
-        counted: Whether the circumstances are evidence themselves: r is then the log ratio of
-            p(x, c | same) and p(x, c | different). Of several modalities at most one should
-            count them.
+        regularisation: Weight of :meth:`penalty`, which keeps parameters finite. The default is
+            small enough to be unnoticed where the two kinds of pairs overlap.
+        covariates_as_evidence: Whether the context is evidence itself: r is then the log ratio of
+            p(x, c | same) and p(x, c | different). For one modality of several at most, as
+            otherwise the same evidence is added up several times.
 
     Raises:
         ValueError: A covariate is not known, or regularisation is not positive.
@@ -70,12 +74,12 @@ class LikelihoodRatio(Calibrator):
         self,
         covariates: Sequence[str] = (),
         regularisation: float = 1e-4,
-        counted: bool = False,
+        covariates_as_evidence: bool = False,
     ) -> None:
         super().__init__()
         if not 0 < regularisation < float("inf"):
             raise ValueError(f"regularisation: expected a positive number, got {regularisation}")
-        self.counted = counted
+        self.covariates_as_evidence = covariates_as_evidence
         self.covariates = Covariates(covariates)
         self.needs = self.covariates.needs
         self.regularisation = regularisation
@@ -94,14 +98,14 @@ class LikelihoodRatio(Calibrator):
         return {
             "covariates": list(self.covariates.names),
             "regularisation": self.regularisation,
-            "counted": self.counted,
+            "covariates_as_evidence": self.covariates_as_evidence,
         }
 
     def describe(self, observations: Observations) -> Features:
         return self.covariates.describe(observations)
 
-    def calibrate(self, evidence: Tensor, circumstances: Any, pairs: Tensor) -> Tensor:
-        return self(evidence, self.covariates.of(circumstances or {}, pairs))
+    def calibrate(self, evidence: Tensor, context: Any, pairs: Tensor) -> Tensor:
+        return self(evidence, self.covariates.of(context or {}, pairs))
 
     def forward(self, evidence: Tensor, covariates: Tensor | None = None) -> Tensor:
         """Scores (P,) of evidence (P,) and raw covariates (P, c), average ones if None."""
@@ -109,26 +113,31 @@ class LikelihoodRatio(Calibrator):
 
     def log_ratio(self, evidence: Tensor, covariates: Tensor | None = None) -> Tensor:
         """r(x, c), (P,) in nats, in the dtype of the evidence."""
-        x, c = self._wide(evidence, covariates)
+        x, c = self._in_float64(evidence, covariates)
         inside = support(x, *self.bounds.to(x.device)) * self.covariates.support(c)
-        ratio = self.shrinkage * inside * self._free_ratio(x, c)
+        ratio = self.shrinkage * inside * self._unbounded_ratio(x, c)
         same, different = torch.log1p(self.counts)
         return ratio.clamp(-same, different).to(evidence.dtype)
 
-    def _wide(
+    def _in_float64(
         self, evidence: Tensor, covariates: Tensor | None
     ) -> tuple[Float[Tensor, " P"], Float[Tensor, "P c"]]:
-        count = len(self.covariates)
         if covariates is None:
-            covariates = self.covariates.centre.expand(len(evidence), count)
-        if covariates.shape != (len(evidence), count):
-            raise ValueError(
-                f"covariates: expected shape ({len(evidence)}, {count}) for "
-                f"{', '.join(self.covariates.names) or 'none'}, got {tuple(covariates.shape)}"
-            )
+            covariates = self.covariates.mean.expand(len(evidence), len(self.covariates))
+        self._check_shape(covariates, len(evidence))
         return evidence.double(), covariates.double()
 
-    def _free_ratio(self, x: Float[Tensor, " P"], c: Float[Tensor, "P c"]) -> Float[Tensor, " P"]:
+    def _check_shape(self, covariates: Tensor | None, pairs: int) -> None:
+        got = None if covariates is None else tuple(covariates.shape)
+        if got != (pairs, len(self.covariates)):
+            raise ValueError(
+                f"covariates: expected shape ({pairs}, {len(self.covariates)}) for "
+                f"{', '.join(self.covariates.names) or 'none'}, got {got}"
+            )
+
+    def _unbounded_ratio(
+        self, x: Float[Tensor, " P"], c: Float[Tensor, "P c"]
+    ) -> Float[Tensor, " P"]:
         if not len(self.covariates):
             return self.ratio(x)
         gain = torch.exp((self.covariates.columns(c) @ self.gain).clamp(-4, 4))
@@ -157,7 +166,8 @@ class LikelihoodRatio(Calibrator):
         self.bounds.copy_(torch.stack([x.min(), x.max()]))
         self.covariates.learn(c)
         base = self.covariates.base_columns(c)
-        base[:, :-1] *= not self.counted
+        base[:, :-1] *= not self.covariates_as_evidence
+        # Nearly unregularised: the base rate is to be right for every context.
         self.base_rate.copy_(logistic_regression(base, y.double(), 1e-6))
         with torch.no_grad():
             self.prepare(x, y)
@@ -174,9 +184,9 @@ class LikelihoodRatio(Calibrator):
 
         ``kept`` is the share of the different pairs that were kept where some were left out.
         """
-        x, c = self._wide(evidence, covariates)
+        x, c = self._in_float64(evidence, covariates)
         prior = self.covariates.base_columns(c) @ self.base_rate - math.log(kept)
-        logit = self._free_ratio(x, c) + prior
+        logit = self._unbounded_ratio(x, c) + prior
         fit = binary_cross_entropy_with_logits(logit, same.double())
         return fit + self.regularisation * self.penalty()
 
@@ -197,7 +207,7 @@ class LikelihoodRatio(Calibrator):
                 be held out.
         """
         x, y, c = self._training_pairs(evidence, same, covariates)
-        group = torch.arange(len(x)) if groups is None else _finite(groups, evidence)
+        group = torch.arange(len(x)) if groups is None else _of_finite(groups, evidence)
         held_out = torch.zeros_like(x)
         fold, used = _folds(group.to(x.device), y), 0
         for number in range(FOLDS):
@@ -205,7 +215,7 @@ class LikelihoodRatio(Calibrator):
             rest = y[~inside]
             if not bool(inside.any()) or not 0 < int(rest.sum()) < len(rest):
                 continue
-            other = copy.deepcopy(self)._fit_all(x[~inside], rest, c[~inside])
+            other = copy.deepcopy(self)._fit_unshrunk(x[~inside], rest, c[~inside])
             held_out[inside] = other.log_ratio(x[inside], c[inside]).detach()
             used += 1
         if groups is not None and not used:
@@ -213,25 +223,25 @@ class LikelihoodRatio(Calibrator):
                 "groups: expected two or more such that pairs of both kinds are left when one is "
                 "held out; without groups, each pair is held out for itself"
             )
-        self._fit_all(x, y, c)
-        self._shrink(held_out, y, c)
+        self._fit_unshrunk(x, y, c)
+        self._choose_shrinkage(held_out, y, c)
         return self
 
-    def _fit_all(self, x: Tensor, y: Tensor, c: Tensor) -> LikelihoodRatio:
+    def _fit_unshrunk(self, x: Tensor, y: Tensor, c: Tensor) -> LikelihoodRatio:
         self.learn_statistics(x, y, c)
         self.shrinkage.fill_(1)
         learned = [parameter for parameter in self.parameters() if parameter.numel()]
         if learned and len(self.covariates):
-            chosen, kept = thinned(y)
+            chosen, kept = _fewer_negatives(y)
             x, y, c = x[chosen], y[chosen], c[chosen]
-            minimise(lambda: self.loss(x, y, c, kept), learned)
+            _minimise(lambda: self.loss(x, y, c, kept), learned)
         elif learned:
-            value, of_same, of_all = gathered(x, y)
-            minimise(lambda: self._gathered_loss(value, of_same, of_all), learned)
+            value, of_same, of_all = _binned(x, y)
+            _minimise(lambda: self._binned_loss(value, of_same, of_all), learned)
         return self
 
-    def _gathered_loss(self, value: Tensor, of_same: Tensor, of_all: Tensor) -> Tensor:
-        """The loss of all pairs where there are no covariates, from how many have which value."""
+    def _binned_loss(self, value: Tensor, of_same: Tensor, of_all: Tensor) -> Tensor:
+        """:meth:`loss` without covariates, from how many same and all pairs have which value."""
         logit = self.ratio(value) + self.base_rate[-1]
         fit = (of_all * softplus(logit) - of_same * logit).sum() / of_all.sum()
         return fit + self.regularisation * self.penalty()
@@ -240,41 +250,32 @@ class LikelihoodRatio(Calibrator):
         """Choose the shrinkage on pairs that fitting did not see."""
         x, y, c = self._training_pairs(evidence, same, covariates)
         self.shrinkage.fill_(1)
-        self._shrink(self.log_ratio(x, c).detach(), y, c)
+        self._choose_shrinkage(self.log_ratio(x, c).detach(), y, c)
         return self
 
-    def _shrink(self, ratio: Tensor, y: Tensor, c: Tensor) -> None:
-        prior = self.covariates.base_columns(c) @ self.base_rate
-        prior = prior + best_shift(prior, y)
-        factor = best_factor(ratio, y, prior)
+    def _choose_shrinkage(self, ratio: Tensor, y: Tensor, c: Tensor) -> None:
+        """The k in [0, 1] for which k * ratio + prior has the least log loss; 0 if no gain."""
+        prior, truth = self.covariates.base_columns(c) @ self.base_rate, y.double()
+        # The prior is moved to the mean of y; both derivatives below increase.
+        prior = prior + _root(
+            lambda shift: torch.sigmoid(prior + shift).mean() - truth.mean(), -40.0, 40.0
+        )
+        factor = _root(
+            lambda k: ((torch.sigmoid(k * ratio + prior) - truth) * ratio).mean(), 0.0, 1.0
+        )
         gain = _log_likelihood(factor * ratio + prior, y) - _log_likelihood(prior, y)
-        self.shrinkage.copy_(factor if float(gain) > CONVINCING else torch.zeros_like(factor))
+        self.shrinkage.fill_(factor if float(gain) > SIGNIFICANT else 0.0)
 
     def _training_pairs(
         self, evidence: Any, same: Any, covariates: Any
     ) -> tuple[Float[Tensor, " P"], Bool[Tensor, " P"], Float[Tensor, "P c"]]:
-        x = torch.as_tensor(evidence).detach().double().flatten()
-        y = torch.as_tensor(same).to(x.device, torch.bool).flatten()
-        if x.shape != y.shape:
-            raise ValueError(
-                f"same: expected one for each of {len(x)} pieces of evidence, got {len(y)}"
-            )
-        count = len(self.covariates)
-        if covariates is None and count:
-            raise ValueError(f"covariates: expected shape ({len(x)}, {count}), got None")
-        c = x.new_zeros(len(x), 0) if covariates is None else torch.as_tensor(covariates)
-        if c.shape != (len(x), count):
-            raise ValueError(
-                f"covariates: expected shape ({len(x)}, {count}), got {tuple(c.shape)}"
-            )
-        known = x.isfinite()
-        x, y, c = x[known], y[known], c[known].detach().to(x)
-        kinds = int(y.sum()), int((~y).sum())
-        if not all(kinds):
-            raise ValueError(
-                f"same: expected pairs of both kinds, got {kinds[0]} same and {kinds[1]} "
-                "different ones with finite evidence"
-            )
+        count = torch.as_tensor(evidence).numel()
+        if covariates is not None:
+            covariates = torch.as_tensor(covariates).detach()
+        if covariates is not None or len(self.covariates):
+            self._check_shape(covariates, count)
+        x, y, known = labelled_pairs(evidence, same)
+        c = x.new_zeros(len(x), 0) if covariates is None else covariates[known].to(x)
         return x, y, c
 
     def _load_from_state_dict(self, state: Any, prefix: str, *arguments: Any) -> None:
@@ -290,11 +291,31 @@ class LikelihoodRatio(Calibrator):
         return f"{same:.0f} same, {different:.0f} different, shrinkage={float(self.shrinkage):.3g}"
 
 
+def log_ratio_of(score: Tensor) -> Tensor:
+    """The log likelihood ratio that a score stands for, float64, kept within ±13.8 nats."""
+    return torch.logit(score.double(), eps=1e-6)
+
+
 def _log_likelihood(logit: Tensor, y: Tensor) -> Tensor:
     return -softplus(torch.where(y, -logit, logit)).sum()
 
 
-def _finite(groups: Any, evidence: Any) -> Tensor:
+def _root(increasing: Callable[[float], Tensor], low: float, high: float) -> float:
+    """Where an increasing function is 0, by bisection; the end that is nearer to it if nowhere."""
+    if float(increasing(high)) <= 0:
+        return high
+    if float(increasing(low)) >= 0:
+        return low
+    for _ in range(60):
+        middle = (low + high) / 2
+        if float(increasing(middle)) > 0:
+            high = middle
+        else:
+            low = middle
+    return (low + high) / 2
+
+
+def _of_finite(groups: Any, evidence: Any) -> Tensor:
     """The groups of the pairs with finite evidence."""
     group = torch.as_tensor(groups).flatten()
     known = torch.as_tensor(evidence).detach().flatten().isfinite()
@@ -304,13 +325,63 @@ def _finite(groups: Any, evidence: Any) -> Tensor:
 
 
 def _folds(group: Tensor, y: Bool[Tensor, " P"]) -> Tensor:
-    """A fold for each pair: groups go round in turn, those with pairs of the same object first."""
+    """A fold for each pair: groups are dealt in turn, those with the most same pairs first."""
     _, number = torch.unique(group, return_inverse=True)
-    order = torch.zeros(int(number.max()) + 1, dtype=torch.float64, device=group.device)
-    order.index_add_(0, number, y.double())
-    rank = torch.empty_like(order, dtype=torch.int64)
-    shuffled = torch.randperm(len(order), generator=torch.Generator().manual_seed(0))
+    matches = torch.zeros(int(number.max()) + 1, dtype=torch.float64, device=group.device)
+    matches.index_add_(0, number, y.double())
+    rank = torch.empty_like(matches, dtype=torch.int64)
+    shuffled = torch.randperm(len(matches), generator=torch.Generator().manual_seed(0))
     shuffled = shuffled.to(group.device)
-    by_matches = torch.argsort(order[shuffled], descending=True, stable=True)
-    rank[shuffled[by_matches]] = torch.arange(len(order), device=group.device)
+    by_matches = torch.argsort(matches[shuffled], descending=True, stable=True)
+    rank[shuffled[by_matches]] = torch.arange(len(matches), device=group.device)
     return rank[number] % FOLDS
+
+
+def _fewer_negatives(same: Bool[Tensor, " P"]) -> tuple[Bool[Tensor, " P"], float]:
+    """All same pairs and enough of the different ones, and the share of those that is kept."""
+    different = (~same).nonzero()[:, 0]
+    wanted = max(MIN_NEGATIVES, NEGATIVES * int(same.sum()))
+    if len(different) <= wanted:
+        return torch.ones_like(same), 1.0
+    order = torch.randperm(len(different), generator=torch.Generator().manual_seed(0))
+    chosen = same.clone()
+    chosen[different[order[:wanted].to(different.device)]] = True
+    return chosen, wanted / len(different)
+
+
+def _binned(
+    x: Float[Tensor, " P"], same: Bool[Tensor, " P"]
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """At most :data:`BINS` values of the evidence, and how many same and all pairs have each.
+
+    Exact where there are no more distinct values; else each bin has the mean of its evidence.
+    """
+    value, place = torch.unique(x, return_inverse=True)
+    if len(value) > BINS:
+        rank = torch.empty_like(place)
+        rank[torch.argsort(x)] = torch.arange(len(x), device=x.device)
+        place = torch.unique(rank * BINS // len(x), return_inverse=True)[1]
+    of_all = torch.bincount(place).double()
+    value = torch.zeros_like(of_all).index_add_(0, place, x) / of_all
+    return value, torch.bincount(place[same], minlength=len(of_all)).double(), of_all
+
+
+def _minimise(loss: Callable[[], Tensor], parameters: list[nn.Parameter]) -> None:
+    """Minimise a smooth function of parameters by L-BFGS."""
+    optimiser = torch.optim.LBFGS(
+        parameters,
+        max_iter=60,
+        tolerance_grad=1e-9,
+        tolerance_change=1e-10,
+        line_search_fn="strong_wolfe",
+    )
+
+    def closure() -> Tensor:
+        optimiser.zero_grad()
+        value = loss()
+        value.backward()
+        return value
+
+    optimiser.step(closure)
+    for parameter in parameters:
+        parameter.grad = None

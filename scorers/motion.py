@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import PATH_FEATURES, path_log_ratio, without_paths

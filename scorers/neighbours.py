@@ -1,4 +1,4 @@
-"""k-reciprocal encoding: who has the same neighbours is more surely the same."""
+"""k-reciprocal encoding: observations of one object have the same nearest neighbours."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 SHARED = 2 / 3
-"""Share of a neighbour's own set that has to lie in a set for it to be taken in."""
+"""Share of a candidate's own set that has to lie in the set that it extends (Zhong et al. 2017)."""
 AVERAGED = 5
-"""Nearest observations, itself included, that an encoding is averaged over."""
+"""Nearest observations, itself included, over which an encoding is averaged: the local query
+expansion of Zhong et al. 2017, with 6 there."""
 ELEMENTS = 1 << 24
-"""Entries of encodings that are compared at a time."""
+"""Entries of encodings that are compared at a time: 64 MiB of float32."""
 
 
 def reciprocal_encoding(vectors: Float[Tensor, "m d"], k: int) -> Float[Tensor, "m m"]:
     """Fuzzy sets of neighbours, as rows that sum to 1 (Zhong, Zheng, Cao and Li 2017).
 
-    R(i) holds those j for which i and j are among the k nearest of each other; the half-sized sets
-    of its members are taken in where they lie in it for the most part. The row of i is exp(cosine)
-    on R(i), scaled to sum 1 and averaged over the nearest of i. Time and memory grow with m².
+    R(i) holds those j for which i and j are among the k nearest of each other; the sets of k/2 of
+    its members are added where most of them lies in R(i). The row of i is exp(cosine) on R(i),
+    scaled to sum 1 and averaged over the nearest of i. Time and memory grow with m².
 
     Args:
-        vectors: Unit vectors; a row with NaN is a neighbour of nobody, and its row is NaN.
-        k: Neighbours; about as many as there are observations of an object.
+        vectors: Unit vectors; a row with NaN is a neighbour of none, and its encoding is NaN.
+        k: Number of neighbours; about as many as there are observations of an object.
     """
     if not len(vectors):
         return vectors.new_zeros(0, 0)
@@ -33,18 +34,18 @@ def reciprocal_encoding(vectors: Float[Tensor, "m d"], k: int) -> Float[Tensor, 
     full, half = (_mutual(cosine, count) for count in (k, round(k / 2)))
     members, candidates = full.to(cosine.dtype), half.to(cosine.dtype)
     inside = members @ candidates.T > SHARED * candidates.sum(1)
-    taken_in = (full & inside).to(cosine.dtype) @ candidates > 0
-    weight = cosine.exp() * (full | taken_in)
+    added = (full & inside).to(cosine.dtype) @ candidates > 0
+    weight = cosine.exp() * (full | added)
     weight = weight / weight.sum(1, keepdim=True)
     nearest = cosine.topk(min(AVERAGED, len(cosine)), 1)
     share = nearest.values.isfinite().to(weight.dtype)
     share = share / share.sum(1, keepdim=True)
-    spread = torch.zeros_like(weight).scatter_(1, nearest.indices, share)
-    return (spread @ weight.nan_to_num(0.0)).masked_fill(~known[:, None], torch.nan)
+    averaging = torch.zeros_like(weight).scatter_(1, nearest.indices, share)
+    return (averaging @ weight.nan_to_num(0.0)).masked_fill(~known[:, None], torch.nan)
 
 
 def _mutual(cosine: Float[Tensor, "m m"], k: int) -> Bool[Tensor, "m m"]:
-    """Which two are among the k nearest of each other; everyone is so with itself."""
+    """Whether two are among the k nearest of each other; true of each with itself."""
     nearest = cosine.topk(min(k + 1, len(cosine)), 1).indices
     near = torch.zeros_like(cosine, dtype=torch.bool).scatter_(1, nearest, True)
     return near & near.T & cosine.isfinite()

@@ -26,19 +26,18 @@ class Proximity(Scorer):
 
         (speed + swerve * (|v_a| + |v_b|) / 2) * dt,
 
-    so that who stands is expected to stand, and who runs may stray far. Where one velocity is not
-    known, the other takes its place; where neither is, only sightings at one time are compared.
+    so that the reach of what moves fast is larger. Where one velocity is not known, the other takes
+    its place; where neither is, only sightings at one time are compared.
 
     Args:
         scale: Standard deviation of a measured distance, in the unit of the feature (metres for
             ``position``).
-        memory: Time after which position has lost all but 1/e of its say, seconds; ``inf`` where
-            nothing drifts or moves.
+        memory: Time after which evidence has faded to 1/e, seconds; ``inf`` where nothing drifts or
+            moves.
         speed: How fast an object can move, metres a second: 0 for objects that stay where they
             are, 1.5 for people who walk.
         feature: Where it was: ``position``, or any other of a fixed number of coordinates.
-        swerve: How much of its speed an object's velocity may be off by; None to take no notice of
-            velocity.
+        swerve: Error of a predicted velocity as a share of the speed; None to ignore velocities.
         calibrator: Maps that score to another.
 
     Raises:
@@ -87,7 +86,7 @@ class Proximity(Scorer):
         if self.speed > 0 or self.swerve is not None:
             reach = speed * elapsed
             within = squared <= reach.square()
-            # Inside the reach there is no gradient to have, and the root has none at 0.
+            # Within reach the gradient is 0: the root is of 1 there, as it has no gradient at 0.
             distance = squared.where(~within, torch.ones_like(squared)).sqrt()
             squared = (distance - reach).square().where(~within, torch.zeros_like(squared))
         near = torch.exp(-squared / (2 * self.scale**2))
@@ -97,9 +96,9 @@ class Proximity(Scorer):
 def _motion(
     velocity: Float[Tensor, "m d"], elapsed: Float[Tensor, " P"], pairs: Int64[Tensor, "2 P"]
 ) -> tuple[Float[Tensor, "P d"], Float[Tensor, " P"]]:
-    """What both of a pair cover in the time between them, and the mean of their speeds.
+    """Displacement by the mean velocity of a pair, and the mean of their speeds.
 
-    Pairs at one time cover nothing, and have speed 0 where no velocity is known.
+    Both are 0 for pairs at one time of which no velocity is known.
     """
     a, b = velocity[pairs[0]], velocity[pairs[1]]
     a, b = a.where(a.isfinite(), b), b.where(b.isfinite(), a)

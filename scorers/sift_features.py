@@ -9,9 +9,11 @@ import torch
 from jaxtyping import Float, Int64, UInt8
 from torch import Tensor, nn
 
+from mixer_torch.extras import require
 from mixer_torch.observations import Images
 
 LARGEST_ZOOM = 4
+"""Convention: beyond it, interpolation adds keypoints that are no texture."""
 
 
 class OpenCVKeypoints:
@@ -25,12 +27,10 @@ class OpenCVKeypoints:
     """
 
     def __init__(self, limit: int, contrast: float, root: bool) -> None:
-        import cv2
-
+        cv2 = require("cv2", extra="vision")
         self.limit = limit
         self.root = root
-        create = cv2.SIFT_create  # type: ignore[attr-defined]
-        self._sift = create(nfeatures=limit, contrastThreshold=contrast)
+        self._sift = cv2.SIFT_create(nfeatures=limit, contrastThreshold=contrast)
 
     def __call__(self, image: UInt8[np.ndarray, "height width"]) -> Float[Tensor, "n 128"]:
         """Unit descriptors of a grey image, the strongest keypoint first."""
@@ -52,21 +52,19 @@ class KorniaKeypoints:
     """
 
     def __init__(self, limit: int, contrast: float, root: bool, device: torch.device) -> None:
-        from kornia.feature import SIFTFeatureScaleSpace
-
+        self._kornia = require("kornia.feature", extra="vision")
         self.limit = limit
         self.contrast = contrast
         self.device = device
-        self._sift: nn.Module = SIFTFeatureScaleSpace(limit, rootsift=root, device=device).eval()
+        sift = self._kornia.SIFTFeatureScaleSpace(limit, rootsift=root, device=device)
+        self._sift: nn.Module = sift.eval()
 
     @torch.no_grad()
     def __call__(self, image: UInt8[np.ndarray, "height width"]) -> Float[Tensor, "n 128"]:
         """Unit descriptors of a grey image, the strongest keypoint first."""
-        from kornia.feature import laf_is_filled
-
         pixels = torch.from_numpy(np.ascontiguousarray(image)).to(self.device).float() / 255
         frames, responses, descriptors = self._sift(pixels[None, None])
-        keep = laf_is_filled(frames)[0] & (responses[0] >= self.contrast)
+        keep = self._kornia.laf_is_filled(frames)[0] & (responses[0] >= self.contrast)
         return unit(descriptors[0, keep], root=False)
 
 
@@ -95,8 +93,7 @@ def keypoints_of(
 def _grey(
     crop: UInt8[np.ndarray, "height width 3"], enlarge: int
 ) -> UInt8[np.ndarray, "height2 width2"]:
-    import cv2
-
+    cv2 = require("cv2", extra="vision")
     grey = cv2.cvtColor(np.ascontiguousarray(crop), cv2.COLOR_RGB2GRAY)
     zoom = min(enlarge / max(grey.shape), LARGEST_ZOOM)
     if zoom <= 1:
@@ -123,18 +120,23 @@ def points_of(
         size: Diameter of the neighbourhood as OpenCV counts it, pixels.
         root: RootSIFT instead of SIFT.
     """
-    import cv2
-
-    sift = cv2.SIFT_create()  # type: ignore[attr-defined]
+    cv2 = require("cv2", extra="vision")
+    sift = cv2.SIFT_create()
     found = torch.full((len(point), 128), torch.nan)
     frame = np.zeros(0, dtype=np.int64) if images is None else images.frame_index
     known = np.isfinite(point).all(1)
     for index in np.unique(frame[known]):
         rows = np.flatnonzero(known & (frame == index))
-        grey = cv2.cvtColor(images.frame(int(rows[0])), cv2.COLOR_RGB2GRAY)  # type: ignore[union-attr]
+        pixels = images.frame(int(rows[0]))  # type: ignore[union-attr]
+        grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
         places = [cv2.KeyPoint(float(x), float(y), size, 0.0) for x, y in point[rows]]
         kept, descriptors = sift.compute(grey, places)
         if len(kept) != len(rows):
             raise ValueError(f"point: OpenCV describes {len(kept)} of {len(rows)} in frame {index}")
         found[torch.from_numpy(rows)] = unit(torch.from_numpy(descriptors), root)
     return found
+
+
+def distance_of(similarity: Tensor) -> Tensor:
+    """Euclidean distance of unit vectors from their inner product."""
+    return (2 - 2 * similarity).clamp(min=1e-12).sqrt()

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scoring import Calibrator, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import TRACKLET_FEATURES, path_log_ratio
@@ -29,7 +29,7 @@ class Tracklet(Scorer):
     different cameras, nor where a feature is NaN. The features are those of
     :class:`~mixer_torch.tracking.tracked.Tracked`. Tracklets are wrong now and then, so how much
     to believe is for the calibrator, at best one that was trained
-    (``configs/train/pets_tracklets.yaml``).
+    (``benchmarks/configs/learning_motion/train_tracklets.yaml``).
 
     Args:
         strangers: How many other things there are to take for it, per square height and nat.

@@ -20,7 +20,6 @@ LONG_FILES_TO_MEND: set[str] = set()
 CONSTRUCTORS_TO_MEND = {
     "mixer_torch/datasets/parking_lot.py:ParkingLot",
     "mixer_torch/tracking/tracker.py:Tracker",
-    "scorers/sift.py:SIFT",
 }
 
 

@@ -8,32 +8,33 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
-from lightning import LightningModule
 from torch import Tensor, nn
 
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import calibration_metrics
-from mixer_torch.scorers.calibrators import MonotoneSpline
-from mixer_torch.scorers.fitted import save_calibrator
+from mixer_torch.scorers.calibrators import MonotoneSpline, save_calibrator
 from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
+from mixer_torch.scoring import NOTHING_TO_SAY
+from mixer_torch.train.base import PairModule
 from mixer_torch.train.data import PairData, Rows
 from mixer_torch.train.evaluation import Affinities, evaluate_scores, summary
+from mixer_torch.train.listing import with_calibrator, write_listing
 from mixer_torch.train.tables import PairTable, calibrated
 
 
-class CalibratorTraining(LightningModule):
-    """Calibrators of all modalities of a :class:`~mixer_torch.train.data.PairData`, trained side by side.
+class CalibratorTraining(PairModule):
+    """The calibrators of all modalities, trained side by side.
 
-    What is no matter of descent (ranges, knots, isotonic pools) comes from all pairs of training at
-    the start; the rest minimises the log loss at the base rate; after each epoch the shrinkage of
-    each is chosen on the pairs of validation.
+    What is not learned by gradient descent (ranges, knots, isotonic pools) is taken from all pairs
+    of training at the start; the rest minimises the log loss at the base rate; after each epoch the
+    shrinkage of each calibrator is chosen on the pairs of validation.
 
     Args:
-        calibrator: What to train for each modality.
-        special: Another one for modalities by name.
+        calibrator: The calibrator to train for each modality; a
+            :class:`~mixer_torch.scorers.calibrators.MonotoneSpline` if None.
+        special: Another one for some modalities, by name.
         learning_rate: Of Adam.
-        decay: Factor on the learning rate from one epoch to the next.
+        decay: Factor of the learning rate from one epoch to the next.
 
     Raises:
         ValueError: learning_rate or decay is out of range.
@@ -58,13 +59,12 @@ class CalibratorTraining(LightningModule):
         self.decay = decay
         self.calibrators = nn.ModuleDict()
         self.kept = 1.0
-        self.report = ""
 
     def setup(self, stage: str) -> None:
         """Make the calibrators and let them see the pairs of training."""
         if self.calibrators:
             return
-        data = self._data()
+        data = self.data
         for name in self.special:
             if name not in data.modalities:
                 raise KeyError(f"special: no modality {name!r}: {', '.join(data.modalities)}")
@@ -77,14 +77,8 @@ class CalibratorTraining(LightningModule):
                 calibrator.learn_statistics(evidence, rows.same, covariates)
             self.calibrators[name] = calibrator
 
-    def _data(self) -> PairData:
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
-        if not isinstance(data, PairData):
-            raise TypeError(f"data: expected mixer_torch.train.PairData, got {type(data).__name__}")
-        return data
-
     def _parts(self, batch: Mapping[str, Any]) -> Any:
-        """Name, calibrator, evidence, truth and covariates of the pairs each has a say on."""
+        """Name, calibrator, evidence, truth and covariates of the pairs with evidence."""
         count = len(batch["same"])
         for (name, calibrator), evidence in zip(
             self.calibrators.items(), batch["evidence"], strict=True
@@ -120,30 +114,23 @@ class CalibratorTraining(LightningModule):
             ratio = calibrator.log_ratio(evidence, covariates)
             found = calibration_metrics(ratio, same)
             costs.append(found["cllr"])
-            self.log_dict(
-                {f"val/{key}/{name}": found[key] for key in ("cllr", "min_cllr", "ece")},
-                batch_size=1,
-                sync_dist=True,
-            )
+            self.log_once({f"val/{key}/{name}": found[key] for key in ("cllr", "min_cllr", "ece")})
         if not costs:
             raise ValueError("validate: expected a modality with pairs of both kinds, found none")
-        self.log("val/cllr", sum(costs) / len(costs), batch_size=1, sync_dist=True)
-
-    def test_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
-        """All is measured at the end, sequence by sequence."""
+        self.log_once({"val/cllr": sum(costs) / len(costs)})
 
     def on_test_end(self) -> None:
         """Figures and pictures, before and after, into the folder of the run."""
-        data = self._data()
-        folder = Path(self.trainer.default_root_dir) / "test"
-        found = evaluate_scores(folder, data.tables("test"), data.modalities, self.affinities(data))
+        data = self.data
+        compared = self.affinities(data)
+        found = evaluate_scores(self.test_folder, data.tables("test"), data.modalities, compared)
         self.report = summary(found)
 
     def affinities(self, data: PairData) -> Affinities:
         """Scores (l, P) of a table, set by hand with the paper's fusion, and trained with log odds.
 
-        Trained scores are likelihood ratios, whose logarithms add up; where the paper's sum of
-        1 - 2 s gives all of 0.98, 0.99 and 0.999 the same say.
+        Trained scores are likelihood ratios, whose logarithms add up. The paper's sum of 1 - 2 s
+        hardly distinguishes 0.98 from 0.999.
         """
 
         def by_hand(table: PairTable) -> Tensor:
@@ -155,7 +142,7 @@ class CalibratorTraining(LightningModule):
                 known = evidence.isfinite()
                 names = calibrator.covariates.names  # type: ignore[union-attr]
                 covariates = table.covariates_of(names)[known]  # type: ignore[arg-type]
-                score = torch.full_like(evidence, 0.5)
+                score = torch.full_like(evidence, NOTHING_TO_SAY)
                 score[known] = calibrator(evidence[known], covariates).detach()
                 rows.append(score)
             return torch.stack(rows)
@@ -184,17 +171,9 @@ class CalibratorTraining(LightningModule):
         for (name, calibrator), scorer in zip(self.calibrators.items(), scorers, strict=True):
             path = folder / f"{name}.safetensors"
             save_calibrator(path, calibrator, scorer)  # type: ignore[arg-type]
-            fitted = {
-                "class_path": "mixer_torch.scorers.fitted.Fitted",
-                "init_args": {"path": str(path)},
-            }
-            arguments = {**scorer.get("init_args", {}), "calibrator": fitted}
-            blocks.append({"class_path": scorer["class_path"], "init_args": arguments})
+            blocks.append(with_calibrator(scorer, path))
             written.append(path)
-        listing = folder / "scorers.yaml"
-        settings = {"scorers": blocks, "fusion": {"class_path": "mixer_torch.LogOddsFusion"}}
-        listing.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
-        return [*written, listing]
+        return [*written, write_listing(folder / "scorers.yaml", blocks, LogOddsFusion())]
 
 
 def has_both_kinds(evidence: Tensor, same: Tensor) -> bool:

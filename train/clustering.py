@@ -23,11 +23,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
+from torch.utils.data import Dataset as Batches
 
-from mixer_torch import datasets
+from mixer_torch.datasets.base import Dataset
 from mixer_torch.fusion import LogOddsFusion
-from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, load_network
+from mixer_torch.scorers.pair_network import MAX_LOG_RATIO, EvidenceEnsemble, load_network
 from mixer_torch.scoring import Scorer
 from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
 from mixer_torch.solvers.gradient.relaxation import distinctness_matrix, project_to_simplex
@@ -48,7 +49,7 @@ class Relaxation:
         curvature: c at the start and at the end, in units of |λ|.
         distinctness: w.
         terms: n of the series; 0 for the last step alone.
-        seed: Of the disturbance from which columns part.
+        seed: Of the noise that breaks the symmetry of the columns.
     """
 
     columns: int = 48
@@ -65,7 +66,7 @@ class Relaxation:
         view: Int64[Tensor, " m"],
         scale: Float[Tensor, ""] | None = None,
     ) -> Float[Tensor, "m k"]:
-        """U, differentiable by the symmetric cost matrix Ā; |λ|, or ``scale``, counts as given."""
+        """U, differentiable by the symmetric cost matrix Ā; |λ|, or ``scale``, is a constant."""
         apart = distinctness_matrix(view, cost.dtype)
         with torch.no_grad():
             low, high = extreme_eigenvalues(cost[None])
@@ -114,8 +115,8 @@ def association_loss(
     return 1 - 2 * hits / (together.sum() + same.sum()).clamp(min=1e-9)
 
 
-class Windows(Dataset):
-    """Stretches of consecutive views, with the pairs inside each."""
+class Windows(Batches):
+    """Windows of consecutive views, with the pairs inside each."""
 
     def __init__(self, tables: Sequence[PairTable], views: int, stride: int) -> None:
         self.windows: list[PairTable] = []
@@ -130,20 +131,20 @@ class Windows(Dataset):
         return len(self.windows)
 
     def __getitem__(self, index: Any) -> Tensor:
-        """The number of a window: a table is nothing that a trainer could move to a device."""
+        """The number of a window: a trainer could not move a table to a device."""
         return torch.as_tensor(index).flatten()[0]
 
 
 class WindowData(PairData):
-    """The pairs of a :class:`~mixer_torch.train.data.PairData`, stretches of views at a time.
+    """A :class:`~mixer_torch.train.data.PairData` that is trained on windows of consecutive views.
 
     Args:
         scorers: One for each modality, with their calibrators.
-        train: Sequences to learn from.
-        validate: Sequences to choose by; a share of the identities if there are none.
-        test: Sequences to judge by.
-        views: Views in a stretch.
-        stride: Views from the start of one stretch to that of the next.
+        train: Sequences to train on.
+        validate: Sequences to validate on; held-out identities if None or empty.
+        test: Sequences to test on.
+        views: Views in a window.
+        stride: Views from the start of one window to that of the next.
         seed: Of the order.
         cache: Folder in which raw evidence is kept between runs; none if None.
     """
@@ -151,9 +152,9 @@ class WindowData(PairData):
     def __init__(
         self,
         scorers: list[Scorer],
-        train: list[datasets.Dataset],
-        validate: list[datasets.Dataset] | None = None,
-        test: list[datasets.Dataset] | None = None,
+        train: list[Dataset],
+        validate: list[Dataset] | None = None,
+        test: list[Dataset] | None = None,
         views: int = 30,
         stride: int = 10,
         seed: int = 0,
@@ -176,7 +177,7 @@ class WindowData(PairData):
 
 
 class AssociationTraining(PairTraining):
-    """A pair network trained on the association itself, from where pair by pair training ended.
+    """A pair network trained on the association itself, after training pair by pair.
 
     Args:
         start: Network to start from, written by training pair by pair; naive Bayes if None.
@@ -202,14 +203,14 @@ class AssociationTraining(PairTraining):
         fresh = not isinstance(self.network, EvidenceEnsemble)
         super().setup(stage)
         if self.start is not None and fresh:
-            network: nn.Module = load_network(self.start, self._data().modalities)
+            network: nn.Module = load_network(self.start, self.data.modalities)
             self.network = network.requires_grad_()
             self.names = self.network.covariates.names  # type: ignore[union-attr, assignment]
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
-        data: WindowData = self._data()  # type: ignore[assignment]
+        data: WindowData = self.data  # type: ignore[assignment]
         loss = self.loss_of(data.windows[int(batch)])
-        self.log("train/loss", loss, on_step=False, on_epoch=True, batch_size=1, sync_dist=True)
+        self.log_loss(loss, 1)
         return loss
 
     def loss_of(self, table: PairTable) -> Tensor:
@@ -227,7 +228,7 @@ class AssociationTraining(PairTraining):
     def validation_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
         super().validation_step(batch, batch_idx)
         found = [
-            solved(table, self.scores(table), ("fused",), LogOddsFusion(cap=SURE))["f1"]
-            for table in self._data().tables("validate")
+            solved(table, self.scores(table), ("fused",), LogOddsFusion(cap=MAX_LOG_RATIO))["f1"]
+            for table in self.data.tables("validate")
         ]
-        self.log("val/f1", sum(found) / len(found), batch_size=1, sync_dist=True)
+        self.log_once({"val/f1": sum(found) / len(found)})

@@ -1,4 +1,4 @@
-"""Crops of labelled objects for training embeddings, split by identity."""
+"""Crops of labelled objects for the training of embeddings, split by identity."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 import torch
 from lightning import LightningDataModule
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader, Sampler
+from torch.utils.data import Dataset as Batches
 
-from mixer_torch import datasets
+from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations
 from mixer_torch.scorers.embedding import crops_of
 
@@ -27,8 +28,8 @@ class CropData(LightningDataModule):
         test: Number of identities.
         persons: Identities a batch.
         crops: Crops of each of them.
-        height: Pixels that crops are brought to.
-        width: Pixels that crops are brought to.
+        height: Of the resized crops, pixels.
+        width: Of the resized crops, pixels.
         seed: Of the order.
 
     Raises:
@@ -37,7 +38,7 @@ class CropData(LightningDataModule):
 
     def __init__(
         self,
-        dataset: datasets.Dataset,
+        dataset: Dataset,
         validate: int = 10,
         test: int = 16,
         persons: int = 16,
@@ -94,7 +95,7 @@ class CropData(LightningDataModule):
         return DataLoader(crops, sampler=[torch.arange(len(crops))], batch_size=None)
 
 
-class Crops(Dataset):
+class Crops(Batches):
     """Crops in memory; indexed by a tensor, it gives a batch."""
 
     def __init__(self, observations: Observations, size: tuple[int, int]) -> None:
@@ -114,7 +115,7 @@ class Crops(Dataset):
 
 
 class PersonSampler(Sampler):
-    """Batches of so many crops of so many persons, by seed and epoch alone."""
+    """Batches of ``crops`` crops of each of ``persons`` persons, by seed and epoch alone."""
 
     def __init__(self, identity: Tensor, persons: int, crops: int, seed: int) -> None:
         self.members = [(identity == person).nonzero()[:, 0] for person in torch.unique(identity)]

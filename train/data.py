@@ -10,9 +10,10 @@ from typing import Any, Literal
 import torch
 from lightning import LightningDataModule
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, DistributedSampler
+from torch.utils.data import DataLoader, DistributedSampler
+from torch.utils.data import Dataset as Batches
 
-from mixer_torch import datasets
+from mixer_torch.datasets.base import Dataset
 from mixer_torch.pairs import Every, PairSelector
 from mixer_torch.scoring import Scorer
 from mixer_torch.train.tables import (
@@ -27,24 +28,24 @@ from mixer_torch.train.tables import (
 class PairData(LightningDataModule):
     """Pairs of observations with the evidence of each modality and the truth.
 
-    Sequences for validation and testing are named, or, where none are, their share of the
-    identities of the training sequences is held out: a pair is used where both its observations
-    are of one part, so that no object is in two parts. Clutter is shared out alike.
+    Without sequences for validation, a share of the identities of the training sequences is held
+    out: a pair is used where both its observations are in one part, so that no object is in two.
+    Clutter is split in the same proportion.
 
-    Training visits every same pair once an epoch, and beside each of them ``rivals`` different
-    ones, drawn afresh for each epoch from seed and epoch alone. They are drawn uniformly: picking
-    the hard ones would distort the likelihood ratios that are to be learned.
+    Training visits every same pair once an epoch, and ``negatives`` different ones for each of
+    them, drawn for each epoch from seed and epoch alone. They are drawn uniformly: picking the
+    hard ones would distort the likelihood ratios that are to be learned.
 
     Args:
         scorers: One for each modality.
-        train: Sequences to learn from.
-        validate: Sequences to choose by; a share of the identities if there are none.
-        test: Sequences to judge by.
-        pairs: Which pairs.
+        train: Sequences to train on.
+        validate: Sequences to validate on; held-out identities if None or empty.
+        test: Sequences to test on.
+        pairs: Which pairs to compare; every pair across views if None.
         held_out: Share of the identities held out for validation where no sequence is.
-        rivals: Different pairs for each same pair in an epoch.
+        negatives: Different pairs for each same pair in an epoch.
         batch_size: Pairs a batch.
-        seed: Of the split and of the order.
+        seed: Of the split and of the order of the pairs.
         cache: Folder in which raw evidence is kept between runs; none if None.
 
     Raises:
@@ -54,12 +55,12 @@ class PairData(LightningDataModule):
     def __init__(
         self,
         scorers: list[Scorer],
-        train: list[datasets.Dataset],
-        validate: list[datasets.Dataset] | None = None,
-        test: list[datasets.Dataset] | None = None,
+        train: list[Dataset],
+        validate: list[Dataset] | None = None,
+        test: list[Dataset] | None = None,
         pairs: PairSelector | None = None,
         held_out: float = 0.25,
-        rivals: int = 10,
+        negatives: int = 10,
         batch_size: int = 4096,
         seed: int = 0,
         cache: Path | None = None,
@@ -67,16 +68,16 @@ class PairData(LightningDataModule):
         super().__init__()
         if not scorers or not train:
             raise ValueError("scorers, train: expected at least one of each")
-        if not 0 < held_out < 1 or rivals < 1 or batch_size < 1:
+        if not 0 < held_out < 1 or negatives < 1 or batch_size < 1:
             raise ValueError(
-                "held_out, rivals, batch_size: expected a share in (0, 1) and integers >= 1, "
-                f"got {held_out}, {rivals}, {batch_size}"
+                "held_out, negatives, batch_size: expected a share in (0, 1) and integers >= 1, "
+                f"got {held_out}, {negatives}, {batch_size}"
             )
         self.scorers = scorers
         self.sources = {"train": train, "validate": validate or [], "test": test or []}
         self.selector = pairs or Every()
         self.held_out = held_out
-        self.rivals = rivals
+        self.negatives = negatives
         self.batch_size = batch_size
         self.seed = seed
         self.cache = cache
@@ -90,7 +91,7 @@ class PairData(LightningDataModule):
         return self._sampler(Rows(self.tables("train"))).kept
 
     def setup(self, stage: str) -> None:
-        """Compare the pairs; what testing does not need is left out when only testing."""
+        """Compare the pairs of all parts; those of testing only when testing."""
         evidence = torch.cat([table.evidence for table in self.tables("train")], 1)
         for scorer, row in zip(self.scorers, evidence, strict=True):
             if not bool(row.isfinite().any()):
@@ -132,7 +133,7 @@ class PairData(LightningDataModule):
         return DataLoader(rows, sampler=self._sampler(rows), batch_size=None)
 
     def _sampler(self, rows: Rows) -> EpochSampler:
-        return EpochSampler(rows.same, self.rivals, self.batch_size, self.seed, *self.place)
+        return EpochSampler(rows.same, self.negatives, self.batch_size, self.seed, *self.place)
 
     @property
     def place(self) -> tuple[int, int]:
@@ -147,17 +148,17 @@ class PairData(LightningDataModule):
         return self._whole("test")
 
     def _whole(self, part: Literal["validate", "test"]) -> DataLoader:
-        """One batch: all pairs of a part; figures are of all of them at once."""
+        """All pairs of a part as one batch, for figures of all of them at once."""
         rows = Rows(self.tables(part))
         return DataLoader(rows, sampler=[torch.arange(len(rows))], batch_size=None)
 
 
-class Rows(Dataset):
+class Rows(Batches):
     """Pairs of several sequences in a row; indexed by a tensor, it gives a batch.
 
     Attributes:
-        objects: (2, P) number of the object of both observations, another in every sequence; -1
-            for clutter.
+        objects: (2, P) number of the object of both observations, unique over all sequences; -1 for
+            clutter.
     """
 
     def __init__(self, tables: Sequence[PairTable]) -> None:
@@ -184,7 +185,7 @@ class Rows(Dataset):
 
 
 def _objects(tables: Sequence[PairTable]) -> Tensor:
-    """Numbers of the objects of pairs, counted on from table to table."""
+    """(2, P) numbers of the objects of the pairs, unique over all tables; -1 for clutter."""
     found, count = [], 0
     for table in tables:
         identity = table.observations["identity"][table.pairs]
@@ -196,16 +197,16 @@ def _objects(tables: Sequence[PairTable]) -> Tensor:
 
 
 class EpochSampler(DistributedSampler):
-    """Batches of an epoch: all same pairs and rivals, in an order of seed and epoch alone.
+    """Batches of an epoch: all same pairs and negatives, in an order of seed and epoch alone.
 
-    Of several processes that train together each takes every so manyth batch; all take the same
-    number of batches, for which some of the first are taken twice.
+    Of n processes that train together, each takes every n-th batch; all take the same number of
+    batches, for which some of the first are taken twice.
     """
 
     def __init__(
         self,
         same: Tensor,
-        rivals: int,
+        negatives: int,
         batch_size: int,
         seed: int,
         rank: int = 0,
@@ -214,7 +215,7 @@ class EpochSampler(DistributedSampler):
         super().__init__(same, processes, rank)  # type: ignore[arg-type]
         self.same = same.nonzero()[:, 0]
         self.different = (~same).nonzero()[:, 0]
-        self.count = min(len(self.different), max(rivals * len(self.same), batch_size))
+        self.count = min(len(self.different), max(negatives * len(self.same), batch_size))
         self.batch_size = batch_size
         self.seed = seed
 
@@ -233,8 +234,8 @@ class EpochSampler(DistributedSampler):
 
     def __iter__(self) -> Iterator[Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
-        rivals = torch.randperm(len(self.different), generator=generator)[: self.count]
-        chosen = torch.cat([self.same, self.different[rivals]])
+        negatives = torch.randperm(len(self.different), generator=generator)[: self.count]
+        chosen = torch.cat([self.same, self.different[negatives]])
         order = chosen[torch.randperm(len(chosen), generator=generator)]
         batches = order.split(self.batch_size)
         for k in range(len(self)):

@@ -1,15 +1,17 @@
-"""How dependent modalities are given the truth, and what each of them is worth."""
+"""How dependent modalities are given the truth, and what each adds to the others."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from mixer_torch.fusion import Fusion, LogOddsFusion
-from mixer_torch.train.evaluation import solved
+from mixer_torch.fusion import LogOddsFusion
+from mixer_torch.scorers.likelihood_ratio import log_ratio_of
+from mixer_torch.train.evaluation import mean_f1
 from mixer_torch.train.tables import PairTable
 
 
@@ -17,7 +19,7 @@ def dependence(tables: Sequence[PairTable], modalities: Sequence[str]) -> dict[s
     """Correlation of log likelihood ratios among same pairs and among different pairs.
 
     Adding up log likelihood ratios is right where modalities are independent given the truth, so
-    that these are all 0. A pair counts where both modalities have something to say.
+    that these are all 0. Only pairs with evidence of both modalities count.
 
     Args:
         tables: Their ``evidence`` is scores.
@@ -27,7 +29,7 @@ def dependence(tables: Sequence[PairTable], modalities: Sequence[str]) -> dict[s
         For ``same`` and ``different``, for each two modalities ``a and b``, the correlation; None
         where one of them does not vary.
     """
-    ratio = torch.logit(torch.cat([table.evidence for table in tables], 1).double(), eps=1e-6)
+    ratio = log_ratio_of(torch.cat([table.evidence for table in tables], 1))
     same = torch.cat([table.same for table in tables])
     report: dict[str, Any] = {}
     for kind, kept in (("same", same), ("different", ~same)):
@@ -51,16 +53,13 @@ def worth(
     tables: Sequence[PairTable], modalities: Sequence[str], fusion: LogOddsFusion
 ) -> dict[str, float]:
     """F1 after solving with ``all`` modalities, and ``without`` each of them."""
-
-    def mean_f1(rows: list[int], chosen: Fusion) -> float:
-        names = [modalities[k] for k in rows]
-        found = [solved(table, table.evidence[rows], names, chosen)["f1"] for table in tables]
-        return sum(found) / len(found)
-
-    every = list(range(len(modalities)))
-    report = {"all": mean_f1(every, fusion)}
-    for k in every if len(every) > 1 else []:
+    report = {"all": mean_f1(tables, modalities, fusion)}
+    every = range(len(modalities))
+    for k in every if len(every) > 1 else ():
         rest = [row for row in every if row != k]
-        weights = {modalities[row]: fusion.weights[modalities[row]] for row in rest}
-        report[f"without {modalities[k]}"] = mean_f1(rest, LogOddsFusion(weights, fusion.cap))
+        names = [modalities[row] for row in rest]
+        weights = {name: fusion.weights[name] for name in names}
+        remaining = [replace(table, evidence=table.evidence[rest]) for table in tables]
+        found = mean_f1(remaining, names, LogOddsFusion(weights, fusion.cap))
+        report[f"without {modalities[k]}"] = found
     return report

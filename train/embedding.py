@@ -1,4 +1,4 @@
-"""Training of the appearance embedding, by metric learning and by telling persons apart."""
+"""Training of the appearance embedding, by metric learning and classification."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from jaxtyping import Float, Int64
 from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from mixer_torch.affinity import Affinity
+from mixer_torch.extras import require
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.io.files import write_json
 from mixer_torch.metrics.calibration import calibration_metrics
@@ -22,48 +22,49 @@ from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.metrics.retrieval import retrieval
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from mixer_torch.scorers.calibrators import MonotoneSpline
+from mixer_torch.scorers.calibrators import MonotoneSpline, save_calibrator
 from mixer_torch.scorers.embedding import Embedding, EmbeddingNetwork, embed, save_embedding
-from mixer_torch.scorers.fitted import save_calibrator
 from mixer_torch.solvers.base import solve
 from mixer_torch.solvers.threshold import AllPairs
+from mixer_torch.train.listing import block, with_calibrator, write_listing
 
 LABEL_SMOOTHING = 0.1
+"""Of the cross entropy, as in Luo et al. 2019."""
 WARM_UP = 0.05
-"""Share of the epochs in which the learning rate rises."""
+"""Share of the epochs in which the learning rate rises; a convention."""
 PRIORS = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1)
-"""What the prior of the fusion is chosen from, the most modest last."""
-CAP = 12.0
-"""Of the fusion, nats: the calibrator bounds itself by what it was fitted to."""
-EXCHANGES = tuple(permutations(range(3)))
-"""Ways to exchange red, green and blue, the first of them none."""
+"""Candidates for the prior of the fusion, from indifferent to cautious."""
 CLOSE = 0.02
-"""F1 that a more modest prior may cost."""
+"""F1 that a lower, more cautious prior may cost: about the spread of F1 between trainings."""
+CAP = 12.0
+"""Of the fusion, nats: beyond all that the calibrator claims, which has bounds of its own."""
+CHANNEL_ORDERS = tuple(permutations(range(3)))
+"""Permutations of red, green and blue, the identity first."""
 
 
 class EmbeddingTraining(LightningModule):
     """An :class:`~mixer_torch.scorers.embedding.EmbeddingNetwork` from crops with identities.
 
     The loss is the supervised contrastive one (Khosla et al. 2020) plus the cross entropy of
-    telling the persons of training apart, by a linear classifier behind a batch normalisation
-    (Luo et al. 2019), with label smoothing. Persons are few, so that more are made of them: one
-    whose colours are exchanged in all crops (red for green, say) is another person.
+    classifying the persons of training, by a linear classifier behind a batch normalisation
+    (Luo et al. 2019), with label smoothing. As persons are few, permuting the colour channels of
+    all crops of a person (red for green, say) makes another person.
 
-    The calibrator, and the prior of the fusion, are fitted to the pairs of validation, whose
-    persons training has not seen: to persons that it has seen, a network is surer than it may be.
-    The prior is there because the errors of the pairs of two persons are not independent: who looks
-    like another does so in all crops. It is the one whose clusters have the best F1.
+    The calibrator and the prior of the fusion are fitted to the pairs of validation, whose persons
+    training has not seen, as a network is overconfident about persons that it has seen. The prior
+    is needed because the errors of the pairs of two persons are correlated: persons who look alike
+    do so in all crops. It is the one whose clusters have the best F1.
 
     Args:
         dimension: Of the vectors.
         width: Channels of the first block.
-        strips: From top to bottom, in which features are pooled.
-        learning_rate: Of AdamW; it rises, and then falls to 0 by a cosine over all epochs.
-        temperature: Of the contrastive loss: lower looks harder at the nearest strangers.
+        strips: Horizontal strips in which features are pooled.
+        learning_rate: Largest of AdamW: linear warm-up, then cosine decay to 0.
+        temperature: Of the contrastive loss: lower gives the hardest negatives more weight.
         classification: Weight of the cross entropy.
-        recoloured: Share of the persons of a batch whose colours are exchanged.
-        centre: As :class:`~mixer_torch.scorers.embedding.Embedding` takes it, for comparing vectors.
-        reciprocal: Likewise.
+        recoloured: Share of the persons of a batch whose channels are permuted.
+        centre: Of the :class:`~mixer_torch.scorers.embedding.Embedding` that is exported.
+        reciprocal: Of the same.
         seed: Of the weights at the start and of the augmentations.
 
     Raises:
@@ -87,8 +88,6 @@ class EmbeddingTraining(LightningModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        from pytorch_metric_learning.losses import SupConLoss
-
         if not (learning_rate > 0 and temperature > 0 and classification >= 0):
             raise ValueError(
                 "learning_rate, temperature, classification: expected positive numbers, the last "
@@ -96,6 +95,7 @@ class EmbeddingTraining(LightningModule):
             )
         if not 0 <= recoloured <= 1:
             raise ValueError(f"recoloured: expected a share in [0, 1], got {recoloured}")
+        losses = require("pytorch_metric_learning.losses", extra="train")
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = EmbeddingNetwork(dimension, width, strips)
@@ -109,7 +109,7 @@ class EmbeddingTraining(LightningModule):
         self.comparison: dict[str, Any] = {"centre": centre, "reciprocal": reciprocal}
         self._scorer = [Embedding(**self.comparison)]
         self.seed = seed
-        self._contrast = SupConLoss(temperature)
+        self._contrast = losses.SupConLoss(temperature)
         self._augment = [augmentation()]
 
     def setup(self, stage: str) -> None:
@@ -118,7 +118,7 @@ class EmbeddingTraining(LightningModule):
             count = len(self.trainer.datamodule.people)  # type: ignore[attr-defined]
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(self.seed)
-                classes = len(EXCHANGES) * count
+                classes = len(CHANNEL_ORDERS) * count
                 self.classifier = nn.Linear(self.neck.num_features, classes, bias=False)
 
     def training_step(self, batch: Mapping[str, Tensor], batch_idx: int) -> Tensor:
@@ -126,7 +126,7 @@ class EmbeddingTraining(LightningModule):
         number = torch.searchsorted(people.to(self.device), batch["identity"])
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed((self.seed * 1_000 + self.current_epoch) * 10_000 + batch_idx)
-            images, number = exchange_colours(batch["images"], number, self.recoloured)
+            images, number = permute_channels(batch["images"], number, self.recoloured)
             images = self._augment[0](images)
         vectors = self.network(images)
         loss = self._contrast(vectors, number)
@@ -204,28 +204,27 @@ class EmbeddingTraining(LightningModule):
         folder.mkdir(parents=True, exist_ok=True)
         network, calibrator = (folder / f"{n}.safetensors" for n in ("embedding", "calibrator"))
         height, width = self.trainer.datamodule.size  # type: ignore[attr-defined]
-        arguments: dict[str, Any] = {"path": str(network), "height": height, "width": width}
-        arguments |= {"mirror": True, **self.comparison}
-        scorer = {"class_path": "mixer_torch.scorers.embedding.Embedding", "init_args": arguments}
+        sizes = {"height": height, "width": width}
+        scorer = block(
+            "mixer_torch.scorers.Embedding",
+            path=str(network),
+            **sizes,
+            mirror=True,
+            **self.comparison,
+        )
         save_embedding(network, self.network)
         save_calibrator(calibrator, self.calibrator, scorer)
-        fitted = {
-            "class_path": "mixer_torch.scorers.fitted.Fitted",
-            "init_args": {"path": str(calibrator)},
-        }
-        block = {**scorer, "init_args": {**arguments, "calibrator": fitted}}
-        learned = self.fusion()
-        settings = {"cap": learned.cap, "prior": learned.prior}
-        fusion = {"class_path": "mixer_torch.LogOddsFusion", "init_args": settings}
-        listing = folder / "scorers.yaml"
-        text = yaml.safe_dump({"scorers": [block], "fusion": fusion}, sort_keys=False)
-        listing.write_text(text, encoding="utf-8")
+        scorers = [with_calibrator(scorer, calibrator)]
+        listing = write_listing(folder / "scorers.yaml", scorers, self.fusion())
         return [network, calibrator, listing]
 
 
 def augmentation() -> nn.Module:
-    """Mirrored, shifted, in other light, partly erased."""
-    from kornia import augmentation as ka
+    """Mirroring, affine shifts, changes of light and colour, random erasing.
+
+    The ranges are conventions of re-identification, kept to what a fixed camera sees.
+    """
+    ka = require("kornia.augmentation", extra="vision")
 
     return nn.Sequential(
         ka.RandomHorizontalFlip(p=0.5),
@@ -239,19 +238,19 @@ def augmentation() -> nn.Module:
     )
 
 
-def exchange_colours(
+def permute_channels(
     images: Float[Tensor, "B 3 height width"], number: Int64[Tensor, " B"], share: float
 ) -> tuple[Float[Tensor, "B 3 height width"], Int64[Tensor, " B"]]:
-    """Exchange the colours of a share of the persons, each in all of its crops in one way.
+    """Permute the channels of a share of the persons, in all crops of a person alike.
 
-    The k-th of :data:`EXCHANGES` makes person n the person 6 n + k.
+    The k-th of :data:`CHANNEL_ORDERS` makes person n the person 6 n + k.
     """
     people, place = torch.unique(number, return_inverse=True)
-    kind = torch.randint(1, len(EXCHANGES), people.shape)
+    kind = torch.randint(1, len(CHANNEL_ORDERS), people.shape)
     kind = torch.where(torch.rand(people.shape) < share, kind, 0).to(number.device)[place]
-    order = torch.tensor(EXCHANGES, device=number.device)[kind]
+    order = torch.tensor(CHANNEL_ORDERS, device=number.device)[kind]
     exchanged = images.gather(1, order[:, :, None, None].expand_as(images))
-    return exchanged, len(EXCHANGES) * number + kind
+    return exchanged, len(CHANNEL_ORDERS) * number + kind
 
 
 def ranked(
@@ -265,13 +264,13 @@ def ranked(
 
 
 def gallery(ratio: Float[Tensor, " P"], pairs: Int64[Tensor, "2 P"], count: int) -> Affinity:
-    """Crops any two of which may show one person, with log likelihood ratios of all pairs."""
+    """The affinity of crops without views, any two of which may show one person."""
     view = torch.full((count,), -1, device=ratio.device)
     return Affinity(pairs, torch.sigmoid(ratio.float())[None], view, ("Embedding",))
 
 
 def best_prior(affinity: Affinity, identity: Int64[Tensor, " m"]) -> float:
-    """The prior whose clusters have the best F1; a more modest one where that is close."""
+    """The prior whose clusters have the best F1; the lowest one that is close to it."""
     found = {}
     for prior in PRIORS:
         association = solve(affinity, None, LogOddsFusion(cap=CAP, prior=prior))

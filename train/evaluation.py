@@ -1,4 +1,4 @@
-"""What training was worth: calibration of each modality, and F1 after solving."""
+"""What training improved: calibration of each modality, and F1 after solving."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from mixer_torch.fusion import Fusion
 from mixer_torch.io.files import write_json
 from mixer_torch.metrics.calibration import calibration_metrics
 from mixer_torch.metrics.clustering import evaluate
+from mixer_torch.scorers.likelihood_ratio import log_ratio_of
 from mixer_torch.solvers.base import solve
 from mixer_torch.train.pictures import histograms_figure, reliability_figure, save
 from mixer_torch.train.tables import PairTable
@@ -73,13 +74,13 @@ def ratios_by_modality(
     found = {}
     for k, name in enumerate(names):
         known = [
-            table.says[k] if len(names) == len(table.evidence) else torch.ones_like(table.same)
+            table.known[k] if len(names) == len(table.evidence) else torch.ones_like(table.same)
             for table in tables
         ]
         score = torch.cat([s[k][kept] for s, kept in zip(scored, known, strict=True)])
         same = torch.cat([t.same[kept] for t, kept in zip(tables, known, strict=True)])
         if 0 < int(same.sum()) < len(same):
-            found[name] = torch.logit(score.double(), eps=1e-6), same
+            found[name] = log_ratio_of(score), same
     return found
 
 
@@ -88,21 +89,27 @@ def solved(
 ) -> dict[str, float]:
     """Precision, recall and F1 of the solved problem, over the observations that are in pairs.
 
-    Where the pairs fall into parts that no pair links (the frames 1, 21, 41, ... and 2, 22, 42, ...
-    of a video at :class:`~mixer_torch.train.selectors.AtGaps` of 20), each part is a problem by itself: that
-    an object is not joined across parts is no error.
+    Where the graph of pairs has several connected components (the frames 1, 21, 41, ... and
+    2, 22, 42, ... of a video, by :class:`~mixer_torch.train.selectors.AtGaps` of 20), each is a
+    problem by itself: that an object is not joined across components is no error.
     """
     place, part = torch.unique(table.pairs, return_inverse=True)
     view, identity = (x[place] for x in (table.observations.view, table.observations["identity"]))
     affinity = Affinity(part, scores, view, tuple(names))
-    whole = parts_of(part, len(place)) * (int(identity.max()) + 1 if len(identity) else 1)
+    whole = components_of(part, len(place)) * (int(identity.max()) + 1 if len(identity) else 1)
     told_apart = torch.where(identity >= 0, identity + whole, identity)
     metrics = evaluate(solve(affinity, None, fusion), told_apart, view)
     return {key: metrics[key] for key in ("precision", "recall", "f1")}
 
 
-def parts_of(pairs: Int64[Tensor, "2 P"], count: int) -> Int64[Tensor, " m"]:
-    """The number of the connected part of the graph of pairs that each observation is in."""
+def mean_f1(tables: Sequence[PairTable], modalities: Sequence[str], fusion: Fusion | None) -> float:
+    """Mean F1 of solved sequences whose evidence is scores."""
+    found = [solved(table, table.evidence, modalities, fusion)["f1"] for table in tables]
+    return sum(found) / len(found)
+
+
+def components_of(pairs: Int64[Tensor, "2 P"], count: int) -> Int64[Tensor, " m"]:
+    """The number of the connected component of the graph of pairs of each observation."""
     ones = np.ones(pairs.shape[1], dtype=np.int8)
     graph = coo_array((ones, tuple(pairs.cpu().numpy())), shape=(count, count))
     return torch.from_numpy(connected_components(graph, directed=False)[1]).long()

@@ -8,29 +8,35 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
-from lightning import LightningModule
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import calibration_metrics
-from mixer_torch.scorers.fitted import log_ratio_of
-from mixer_torch.scorers.learned import SURE, EvidenceEnsemble, EvidenceNetwork, save_network
-from mixer_torch.train.data import PairData, Rows, stack_covariates
+from mixer_torch.scorers.pair_network import (
+    MAX_LOG_RATIO,
+    EvidenceEnsemble,
+    EvidenceNetwork,
+    as_evidence,
+    save_network,
+)
+from mixer_torch.train.base import PairModule
+from mixer_torch.train.data import Rows, stack_covariates
 from mixer_torch.train.evaluation import evaluate_scores, summary
+from mixer_torch.train.listing import block, write_listing
 from mixer_torch.train.tables import PairTable
 
 
-class PairTraining(LightningModule):
-    """An :class:`~mixer_torch.scorers.learned.EvidenceEnsemble`, by log loss at the base rate of training.
+class PairTraining(PairModule):
+    """The networks of a :class:`~mixer_torch.scorers.pair_network.PairNetwork`, by log loss.
 
-    The covariates are evidence here, counted once for all modalities. The scores that go in are
-    those of the scorers with the calibrators that the configuration gives them.
+    The loss is at the base rate of training. The covariates are evidence here, once for all
+    modalities. The inputs are the scores of the scorers, with the calibrators that the
+    configuration gives them.
 
-    Several members are trained side by side. Each starts from weights of its own and does not see
-    the objects of one of as many parts, so that what hangs on one object or on the start differs
-    between members and is small in their mean.
+    Several members are trained side by side, each from initial weights of its own and without the
+    objects of one of as many parts, so that what depends on one object or on the initial weights
+    differs between members and is small in their mean.
 
     Args:
         covariates: Names of :data:`mixer_torch.scorers.covariates.COVARIATES`.
@@ -67,10 +73,9 @@ class PairTraining(LightningModule):
         self.network: nn.Module = nn.Identity()
         self.parts = torch.zeros(0, dtype=torch.int64)
         self.priors: list[float] = []
-        self.report = ""
 
     def setup(self, stage: str) -> None:
-        data = self._data()
+        data = self.data
         if isinstance(self.network, EvidenceEnsemble):
             return
         data.replace_evidence_by_scores()
@@ -97,9 +102,6 @@ class PairTraining(LightningModule):
         # Clutter is number -1, which is the last part: nobody's.
         return (parts[objects] != member).all(1)
 
-    def _data(self) -> PairData:
-        return self.trainer.datamodule  # type: ignore[attr-defined]
-
     def forward(self, scores: Tensor, covariates: Tensor) -> Tensor:
         """Log likelihood ratios (P,) of scores (l, P), 0 where no modality says anything."""
         return self.network(as_evidence(scores), covariates).nan_to_num(0.0)
@@ -117,35 +119,22 @@ class PairTraining(LightningModule):
             each = binary_cross_entropy_with_logits(logit, truth, reduction="none")
             losses.append((each * seen).sum() / seen.sum().clamp(min=1))
         loss = torch.stack(losses).sum()  # the members have no weights in common
-        self.log(
-            "train/loss",
-            loss / self.members,
-            on_step=False,
-            on_epoch=True,
-            batch_size=count,
-            sync_dist=True,
-        )
+        self.log_loss(loss / self.members, count)
         return loss
 
     def validation_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
         covariates = stack_covariates(batch["covariates"], self.names, len(batch["same"]))
         found = calibration_metrics(self(batch["evidence"], covariates), batch["same"])
-        self.log_dict(
-            {f"val/{key}": value for key, value in found.items()}, batch_size=1, sync_dist=True
-        )
-
-    def test_step(self, batch: Mapping[str, Any], batch_idx: int) -> None:
-        """All is measured at the end, sequence by sequence."""
+        self.log_once({f"val/{key}": value for key, value in found.items()})
 
     def on_test_end(self) -> None:
         """Figures and pictures against fixed fusion, into the folder of the run."""
-        data = self._data()
+        data = self.data
         compared = {
             "log odds": ((lambda table: table.evidence), LogOddsFusion()),
-            "network": (self.scores, LogOddsFusion(cap=SURE)),
+            "network": (self.scores, LogOddsFusion(cap=MAX_LOG_RATIO)),
         }
-        folder = Path(self.trainer.default_root_dir) / "test"
-        found = evaluate_scores(folder, data.tables("test"), data.modalities, compared)
+        found = evaluate_scores(self.test_folder, data.tables("test"), data.modalities, compared)
         self.report = summary(found)
 
     @torch.no_grad()
@@ -163,22 +152,10 @@ class PairTraining(LightningModule):
         """Write the networks, and ``scorers.yaml`` that ``mixer associate --config`` takes."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "pair_network.safetensors"
-        save_network(path, self.network, self._data().modalities)  # type: ignore[arg-type]
-        arguments = {"path": str(path), "scorers": list(scorers)}
-        scorer = {"class_path": "mixer_torch.scorers.learned.PairNetwork", "init_args": arguments}
-        fusion = {"class_path": "mixer_torch.LogOddsFusion", "init_args": {"cap": SURE}}
-        listing = folder / "scorers.yaml"
-        listing.write_text(
-            yaml.safe_dump({"scorers": [scorer], "fusion": fusion}, sort_keys=False),
-            encoding="utf-8",
-        )
-        return [path, listing]
-
-
-def as_evidence(scores: Tensor) -> Tensor:
-    """Log likelihood ratios of scores, NaN at 0.5: nothing to say."""
-    ratio = log_ratio_of(scores).float()
-    return ratio.where(scores != 0.5, ratio.new_full((), torch.nan))
+        save_network(path, self.network, self.data.modalities)  # type: ignore[arg-type]
+        scorer = block("mixer_torch.scorers.PairNetwork", path=str(path), scorers=list(scorers))
+        fusion = LogOddsFusion(cap=MAX_LOG_RATIO)
+        return [path, write_listing(folder / "scorers.yaml", [scorer], fusion)]
 
 
 def base_rate_logit(same: Tensor) -> float:

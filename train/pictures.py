@@ -1,4 +1,4 @@
-"""Pictures of calibration: reliability diagrams, and scores of same against different pairs."""
+"""Plots of calibration: reliability diagrams, and histograms of scores by kind of pair."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ SAME, DIFFERENT = (0.13, 0.45, 0.70), (0.93, 0.55, 0.15)
 
 
 def reliability_figure(ratios: Ratios) -> Figure:
-    """Share of same pairs, at prior 0.5, against the score: the diagonal is what a score promises.
+    """Reliability diagrams: share of same pairs, at prior 0.5, against the score.
 
-    A row for each of what is compared, a column for each modality; a dot's area is the share of
-    the pairs that have such scores.
+    A calibrated score is on the diagonal. One row for each way of scoring, one column for each
+    modality; the area of a dot is the share of the pairs with such scores.
     """
     figure, panels = _grid(ratios, "score", "share of same pairs, at prior 0.5")
     for axes, title, ratio, same in panels:
@@ -42,7 +42,7 @@ def reliability_figure(ratios: Ratios) -> Figure:
 
 
 def histograms_figure(ratios: Ratios) -> Figure:
-    """Scores of same and of different pairs, each kind as shares of its own."""
+    """Histograms of the scores of same and of different pairs, each normalised by itself."""
     figure, panels = _grid(ratios, "score", "share of the kind")
     edges = np.linspace(0, 1, 31).tolist()
     for axes, title, ratio, same in panels:

@@ -1,4 +1,4 @@
-"""Which pairs to learn from: those as far apart in time as the pairs that will be scored."""
+"""Pairs for training that are as far apart in time as the pairs that will be scored."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from mixer_torch.pairs import PairSelector, Within
 class AtGaps(PairSelector):
     """Pairs across views at given distances, at every offset.
 
-    What evidence is worth depends on the time between two sightings: the overlap of two boxes is
-    worth much after a tenth of a second and nothing after three. A video with every frame has the
-    gaps of a video that is sampled sparsely, many times over: its frames 1, 21, 41, ..., its frames
-    2, 22, 42, ..., and so on.
+    The likelihood ratio of evidence depends on the time between two sightings: overlap of two boxes
+    says much after a tenth of a second and nothing after three. A video with every frame contains
+    many sparsely sampled ones: its frames 1, 21, 41, ..., its frames 2, 22, 42, ..., and so on.
 
     Args:
         gaps: Distances, in the unit of the feature: seconds, or frames.

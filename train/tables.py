@@ -18,7 +18,7 @@ from mixer_torch.datasets.base import Dataset
 from mixer_torch.observations import Observations, load_npz, save_npz
 from mixer_torch.pairs import PairSelector
 from mixer_torch.scorers.covariates import COVARIATES, Covariates
-from mixer_torch.scoring import Scorer, unique_names
+from mixer_torch.scoring import NOTHING_TO_SAY, Scorer, unique_names
 
 FORMAT = "mixer-torch evidence 1"
 
@@ -32,8 +32,8 @@ class PairTable:
         pairs: (2, P).
         evidence: (l, P) raw evidence of each modality, NaN where it has none.
         covariates: (P,) raw values by name, of those that the observations allow.
-        same: (P,) whether a pair shows one object; clutter is the same as nothing.
-        says: (l, P) whether a modality has anything to say; where its evidence is finite if None.
+        same: (P,) whether a pair shows one object; clutter matches nothing.
+        known: (l, P) whether a modality has evidence; where it is finite if None.
     """
 
     observations: Observations
@@ -41,11 +41,11 @@ class PairTable:
     evidence: Tensor
     covariates: Mapping[str, Tensor]
     same: Tensor
-    says: Tensor = field(default=None)  # type: ignore[assignment]
+    known: Tensor = field(default=None)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        if self.says is None:
-            object.__setattr__(self, "says", self.evidence.isfinite())
+        if self.known is None:
+            object.__setattr__(self, "known", self.evidence.isfinite())
 
     def __len__(self) -> int:
         return self.pairs.shape[1]
@@ -58,7 +58,7 @@ class PairTable:
             evidence=self.evidence[:, index],
             covariates={name: value[index] for name, value in self.covariates.items()},
             same=self.same[index],
-            says=self.says[:, index],
+            known=self.known[:, index],
         )
 
     def of_identities(self, chosen: Tensor) -> PairTable:
@@ -92,15 +92,15 @@ def pair_table(
     selector: PairSelector,
     cache: Path | None = None,
 ) -> PairTable:
-    """Compare the pairs of a dataset in every modality, or read what was kept of that.
+    """Compare the pairs of a dataset in every modality, or read evidence that was kept.
 
-    A modality has nothing to say of a sequence that lacks a feature which it needs.
+    A modality has no evidence in a sequence that lacks a feature which it needs.
 
     Args:
         dataset: Observations with identities.
         scorers: One for each modality; their calibrators are not used.
         selector: Which pairs.
-        cache: Folder in which evidence is kept, by what it was made from; none if None.
+        cache: Folder in which evidence is kept, by a hash of its inputs; none if None.
 
     Raises:
         KeyError: There are no images, and a scorer needs them.
@@ -125,15 +125,14 @@ def calibrated(scorers: Sequence[Scorer], table: PairTable) -> Tensor:
     with torch.no_grad():
         for scorer, evidence in zip(scorers, table.evidence, strict=True):
             known = evidence.isfinite()
-            circumstances = scorer.calibrator.describe(table.observations)
-            finite = evidence.where(known, evidence.new_zeros(()))
-            score = scorer.calibrator.calibrate(finite, circumstances, table.pairs)
-            rows.append(score.float().where(known, score.new_full((), 0.5).float()))
+            context = scorer.calibrator.describe(table.observations)
+            score = scorer.calibrator.calibrate(evidence.nan_to_num(), context, table.pairs)
+            rows.append(score.float().where(known, NOTHING_TO_SAY))
     return torch.stack(rows)
 
 
 def modality_names(scorers: Sequence[Scorer]) -> tuple[str, ...]:
-    """Names of the modalities, told apart as ``score`` does."""
+    """Names of the modalities, distinct as ``score`` makes them."""
     return unique_names([scorer.name for scorer in scorers])
 
 

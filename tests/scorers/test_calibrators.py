@@ -1,4 +1,4 @@
-"""Fitted calibrators against what is known in closed form, and what keeps them modest."""
+"""Fitted calibrators against what is known in closed form, and their safeguards."""
 
 import math
 
@@ -10,17 +10,15 @@ import mixer_torch as mx
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.observations import Observations
 from mixer_torch.scorers.calibrators import (
-    Beta,
-    Histogram,
+    Fitted,
     Isotonic,
     MonotoneSpline,
     Platt,
-    Temperature,
+    load_calibrator,
+    save_calibrator,
 )
-from mixer_torch.scorers.fitted import Fitted, load_calibrator, save_calibrator
 
-KINDS = [Platt, Temperature, Beta, Histogram, Isotonic, MonotoneSpline]
-MONOTONE = [Platt, Temperature, Beta, Isotonic, MonotoneSpline]
+KINDS = [Platt, Isotonic, MonotoneSpline]
 
 
 def rare_matches(count=20_000, rate=0.03, seed=0):
@@ -35,21 +33,16 @@ def gaussian_evidence(separation=1.5, **arguments):
     return x, same
 
 
-def usable(kind, x):
-    """Evidence as the kind takes it: scores for those that take scores."""
-    return torch.sigmoid(x) if kind in (Temperature, Beta) else x
-
-
 @pytest.mark.parametrize(
     ("kind", "tolerance"),
-    [(Platt, 0.2), (Beta, 0.35), (Isotonic, 0.6), (MonotoneSpline, 0.35), (Histogram, 0.6)],
+    [(Platt, 0.2), (Isotonic, 0.6), (MonotoneSpline, 0.35)],
 )
 def test_log_ratio_is_that_of_the_densities_at_any_base_rate(kind, tolerance):
     at = torch.tensor([-0.5, 0.0, 0.75, 1.5, 2.0], dtype=torch.float64)
     true = 1.5 * (at - 0.75)
     for rate in (0.02, 0.3):
         x, same = gaussian_evidence(rate=rate, count=40_000)
-        found = kind().fit(usable(kind, x), same).log_ratio(usable(kind, at)).detach()
+        found = kind().fit(x, same).log_ratio(at).detach()
         assert float((found - true).abs().max()) < tolerance
 
 
@@ -79,14 +72,6 @@ def test_isotonic_pools_are_those_of_scikit_learn():
     assert len(torch.unique(kind.values)) <= pools
 
 
-def test_temperature_leaves_indifference_where_it_was():
-    same, generator = rare_matches()
-    x = 1.5 * (torch.randn(len(same), generator=generator) + 1.5 * same - 0.75)
-    kind = Temperature().fit(torch.sigmoid(x / 4), same)
-    assert float(kind.temperature.detach()) == pytest.approx(0.25, rel=0.1)
-    assert kind(torch.tensor([0.5])).tolist() == [0.5]
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_says_nothing(kind, seed):
@@ -101,15 +86,11 @@ def test_before_fitting_nothing_is_said(kind):
     assert kind()(torch.linspace(0, 1, 7)).tolist() == [0.5] * 7
 
 
-@pytest.mark.parametrize("kind", MONOTONE)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_monotone_within_what_training_saw(kind, sign):
     x, same = gaussian_evidence(count=5_000, rate=0.1)
-    if kind is Temperature and sign < 0:
-        pytest.skip("temperature scaling takes scores, which increase")
-    if kind is Beta and sign < 0:
-        pytest.skip("beta calibration takes scores, which increase")
-    x = usable(kind, sign * x)
+    x = sign * x
     scores = kind().fit(x, same)(torch.linspace(float(x.min()), float(x.max()), 200)).detach()
     assert bool((sign * scores.diff() >= -1e-7).all())
     assert sign * float(scores[-1] - scores[0]) > 0.5
@@ -119,7 +100,7 @@ def test_monotone_within_what_training_saw(kind, sign):
 def test_never_sure_and_silent_beyond_training(kind):
     generator = torch.Generator().manual_seed(0)
     same = torch.arange(400) < 40
-    x = usable(kind, torch.where(same, 4.0, -4.0) + 0.1 * torch.randn(400, generator=generator))
+    x = torch.where(same, 4.0, -4.0) + 0.1 * torch.randn(400, generator=generator)
     fitted = kind().fit(x, same)
     ratio = fitted.log_ratio(x).detach()
     assert float(ratio.max()) <= math.log(361) + 1e-6
@@ -132,8 +113,8 @@ def test_never_sure_and_silent_beyond_training(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradient_of_the_log_ratio(kind):
     x, same = gaussian_evidence(count=3_000, rate=0.1)
-    fitted = kind().fit(usable(kind, x), same)
-    at = usable(kind, torch.tensor([0.13, 0.41, 1.2], dtype=torch.float64)).requires_grad_()
+    fitted = kind().fit(x, same)
+    at = torch.tensor([0.13, 0.41, 1.2], dtype=torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(fitted.log_ratio, (at,))
 
 
@@ -176,7 +157,7 @@ def test_missing_evidence_is_left_out_of_fitting_and_says_nothing():
 def test_saved_and_loaded_in_a_scorer(kind, tmp_path):
     generator = torch.Generator().manual_seed(2)
     x, same = gaussian_evidence(count=3_000, rate=0.1)
-    x, c = usable(kind, x), torch.rand(3_000, 2, generator=generator).double()
+    c = torch.rand(3_000, 2, generator=generator).double()
     fitted = kind(covariates=["time_gap", "confidence"])
     fitted.learn_statistics(x, same, c)
     path = tmp_path / "depth.safetensors"
@@ -221,7 +202,7 @@ def test_files_that_are_something_else(tmp_path):
     save_file(
         {"weight": torch.zeros(1)},
         other,
-        {"format": "mixer-torch calibrator 1", "class_path": "os.system", "init_args": "{}"},
+        {"format": "mixer-torch calibrator 2", "class_path": "os.system", "init_args": "{}"},
     )
     with pytest.raises(ValueError, match=r"no calibrator 'os\.system' is imported"):
         Fitted(other)
@@ -232,7 +213,6 @@ def test_files_that_are_something_else(tmp_path):
     [
         (lambda: Platt(["weather"]), "covariates"),
         (lambda: Platt(regularisation=0.0), "regularisation"),
-        (lambda: Histogram(0), "bins"),
         (lambda: MonotoneSpline(1), "knots"),
         (lambda: Platt().fit(torch.zeros(3), torch.ones(3)), "both kinds"),
         (lambda: Platt().fit(torch.zeros(3), torch.ones(2)), "same"),
@@ -241,7 +221,6 @@ def test_files_that_are_something_else(tmp_path):
             lambda: Platt().fit(torch.arange(4.0), torch.arange(4) > 1, groups=torch.zeros(4)),
             "groups: expected two",
         ),
-        (lambda: Beta().fit(torch.tensor([0.5, 2.0]), torch.tensor([True, False])), "Beta takes"),
     ],
 )
 def test_bad_arguments_are_named(make, match):
@@ -285,12 +264,12 @@ def test_noise_beside_other_modalities_does_not_lower_f1():
     assert both == alone
 
 
-def test_counted_circumstances_are_evidence():
+def test_covariates_as_evidence():
     generator = torch.Generator().manual_seed(1)
     c = torch.rand(8_000, 1, generator=generator).double() * 3
     same = torch.rand(8_000, generator=generator) < 0.15 * torch.exp(-c[:, 0])
     noise = torch.rand(8_000, generator=generator).double()
-    fitted = Platt(["time_gap"], counted=True).fit(noise, same, c)
+    fitted = Platt(["time_gap"], covariates_as_evidence=True).fit(noise, same, c)
     ratio = fitted.log_ratio(noise[:4], torch.tensor([[0.2], [1.0], [2.0], [2.8]])).detach()
     mean = -same.double().mean().logit()
     true = torch.logit(0.15 * torch.exp(-torch.tensor([0.2, 1.0, 2.0, 2.8]).double())) + mean

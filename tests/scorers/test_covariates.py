@@ -5,9 +5,8 @@ import torch
 
 import mixer_torch as mx
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibrators import MonotoneSpline, Platt
+from mixer_torch.scorers.calibrators import Fitted, MonotoneSpline, Platt, save_calibrator
 from mixer_torch.scorers.covariates import COVARIATES, LEVELS, Covariates
-from mixer_torch.scorers.fitted import Fitted, save_calibrator
 
 
 def seen(camera):

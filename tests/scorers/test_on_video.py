@@ -6,7 +6,7 @@ from sklearn.metrics import roc_auc_score
 import mixer_torch as mx
 from mixer_torch.datasets.landmarks import Landmarks
 from mixer_torch.datasets.motchallenge import MOTChallenge
-from mixer_torch.scorers import SIFT, Color, IoU, Proximity
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity, SIFTAtPoints
 
 pytestmark = pytest.mark.real_data
 
@@ -54,7 +54,7 @@ def test_landmarks_are_found_again(gap, least):
     frame = observations["frame"]
     pairs = pairs[:, (frame[pairs[0]] - frame[pairs[1]]).abs() == gap]
     same = same_of(observations, pairs)
-    found = SIFT(at="point")(observations, pairs) > 0.5
+    found = SIFTAtPoints()(observations, pairs) > 0.5
     assert float(found[same].float().mean()) >= least
     assert float(found[~same].float().mean()) < 0.01
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from mixer_torch import scorers
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
-from mixer_torch.scorers import SIFT, Color, IoU, Proximity, Tracklet
-from mixer_torch.scorers.calibration import Logistic
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity, SIFTAtPoints, Tracklet
+from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer
 from mixer_torch.tracking.motion import MotionModel
 from mixer_torch.tracking.tracklets import summarised, tracklet_features, with_paths
@@ -35,7 +36,7 @@ SUBJECTS = {cls.__name__: cls for cls in CLASSES} | {
     "Proximity of what moves": lambda: Proximity(scale=0.5, memory=5.0, speed=1.5),
     "Proximity of what keeps its velocity": lambda: Proximity(0.5, 5.0, 0.1, swerve=0.3),
     "Color histogram": lambda: Color("histogram"),
-    "SIFT at points": lambda: SIFT(at="point"),
+    "SIFT at points": SIFTAtPoints,
     "Tracklet": lambda: Tracklet(limit=1000.0),  # the features are of things that leap about
     "FunctionScorer": lambda: FunctionScorer(cosine, "embedding", Logistic(4.0, 0.2)),
     "Calibrated": lambda: Calibrated(Proximity(), Logistic(3.0, 0.5)),

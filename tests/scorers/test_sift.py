@@ -6,8 +6,9 @@ import torch
 
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
-from mixer_torch.scorers import SIFT
-from mixer_torch.scorers.sift import count_matches, nearest_in_views
+from mixer_torch.scorers import SIFT, SIFTAtPoints
+from mixer_torch.scorers.sift import count_matches
+from mixer_torch.scorers.sift_at_points import nearest_in_views
 from mixer_torch.scorers.sift_features import unit
 
 
@@ -167,9 +168,9 @@ def landmarks():
     )
 
 
-def test_points_are_matched_by_the_ratio_to_the_best_rival():
+def test_points_are_matched_by_the_ratio_to_the_best_other():
     observations = landmarks()
-    scorer = SIFT(at="point")
+    scorer = SIFTAtPoints()
     pairs = Every()(observations)
     result = scorer(observations, pairs)
     same = pairs[1] - pairs[0] == 5
@@ -184,8 +185,8 @@ def test_evidence_at_points_by_hand():
     view = torch.tensor([0, 1, 1])
     description = (described, view, *nearest_in_views(described, view))
     distance = [2 * np.sin(0.1), 2 * np.sin(0.4)]
-    evidence = SIFT(at="point", stranger=0.9).compare(description, torch.tensor([[0, 0], [1, 2]]))
-    # 0 is alone in its view: from the other side the rival is a stranger at 0.9.
+    evidence = SIFTAtPoints(unrelated=0.9).compare(description, torch.tensor([[0, 0], [1, 2]]))
+    # 0 is alone in its view: from the other side the best other is an unrelated point at 0.9.
     expected = [
         min(np.log(distance[1] / distance[0]), np.log(0.9 / distance[0])),
         min(np.log(distance[0] / distance[1]), np.log(0.9 / distance[1])),
@@ -196,9 +197,7 @@ def test_evidence_at_points_by_hand():
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [
-        ({"at": "corner"}, "at"),
         ({"backend": "matlab"}, "backend"),
-        ({"at": "point", "backend": "kornia"}, "backend"),
         ({"ratio": 0.0}, "ratio"),
         ({"keypoints": 0}, "keypoints"),
         ({"weak": 9.0, "strong": 5.0}, "weak"),
@@ -208,3 +207,10 @@ def test_evidence_at_points_by_hand():
 def test_refuses(arguments, name):
     with pytest.raises((ValueError, TypeError), match=name):
         SIFT(**arguments)
+
+
+def test_refuses_at_points():
+    with pytest.raises(ValueError, match="size"):
+        SIFTAtPoints(size=0.0)
+    with pytest.raises(ValueError, match="unrelated"):
+        SIFTAtPoints(unrelated=-1.0)

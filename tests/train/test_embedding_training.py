@@ -16,12 +16,12 @@ from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.solvers.base import solve
 from mixer_torch.train.cli import main as mixer_train
 from mixer_torch.train.embedding import (
-    EXCHANGES,
+    CHANNEL_ORDERS,
     PRIORS,
     augmentation,
     best_prior,
-    exchange_colours,
     gallery,
+    permute_channels,
     ranked,
 )
 
@@ -140,20 +140,20 @@ def test_the_prior_is_the_one_of_the_best_clusters():
     assert evaluate(found, identity, affinity.view)["f1"] == 1
 
 
-def test_exchanged_colours_make_other_persons():
+def test_permuted_channels_make_other_persons():
     crops = torch.rand(12, 3, 4, 2, generator=torch.Generator().manual_seed(0))
     number = torch.tensor([3, 3, 0, 5, 5, 5, 3, 0, 7, 7, 7, 7])
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(2)
-        exchanged, label = exchange_colours(crops, number, 0.6)
-        same, plain = exchange_colours(crops, number, 0.0)
+        exchanged, label = permute_channels(crops, number, 0.6)
+        same, plain = permute_channels(crops, number, 0.0)
     assert torch.equal(same, crops)
     assert torch.equal(plain, 6 * number)
     assert torch.equal(label // 6, number)
     assert len(torch.unique(label)) == 4  # each person in one way
     assert 0 < int((label % 6 > 0).sum()) < 12
     for crop, found, kind in zip(crops, exchanged, label % 6, strict=True):
-        assert torch.equal(found, crop[list(EXCHANGES[int(kind)])])
+        assert torch.equal(found, crop[list(CHANNEL_ORDERS[int(kind)])])
 
 
 def test_ranked_by_the_evidence_of_pairs():

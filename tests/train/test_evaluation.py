@@ -6,7 +6,7 @@ import torch
 
 from mixer_torch.observations import Observations
 from mixer_torch.pairs import Every
-from mixer_torch.train.evaluation import parts_of, ratios_by_modality, solved, summary
+from mixer_torch.train.evaluation import components_of, ratios_by_modality, solved, summary
 from mixer_torch.train.selectors import AtGaps
 from mixer_torch.train.tables import PairTable
 
@@ -21,13 +21,13 @@ def table(selector, frames=12, objects=3):
     return PairTable(seen, pairs, same.float()[None], {}, same)
 
 
-def test_parts_are_what_no_pair_links():
+def test_components_are_what_no_pair_links():
     pairs = torch.tensor([[0, 2, 5], [2, 4, 7]])
-    part = parts_of(pairs, 8).tolist()
+    part = components_of(pairs, 8).tolist()
     assert part[0] == part[2] == part[4]
     assert part[5] == part[7]
     assert len({part[k] for k in (0, 1, 3, 5, 6)}) == 5
-    assert parts_of(torch.zeros(2, 0, dtype=torch.int64), 0).tolist() == []
+    assert components_of(torch.zeros(2, 0, dtype=torch.int64), 0).tolist() == []
 
 
 def test_perfect_scores_are_perfect_in_every_part():
@@ -55,7 +55,7 @@ def test_no_pairs():
 def test_a_modality_is_judged_on_what_it_speaks_of_when_tables_hold_scores():
     rows = table(Every())
     evidence = rows.evidence.where(torch.arange(len(rows)) % 2 == 0, torch.nan)
-    raw = replace(rows, evidence=evidence, says=evidence.isfinite())
+    raw = replace(rows, evidence=evidence, known=evidence.isfinite())
     scored = replace(raw, evidence=raw.evidence.nan_to_num(0.5))
     for of in (raw, scored, scored.select(torch.arange(len(rows)))):
         ratio, _ = ratios_by_modality([of], [scored.evidence], ["truth"])["truth"]

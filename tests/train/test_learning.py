@@ -12,11 +12,11 @@ import torch
 import yaml
 
 from mixer_torch.cli import main as mixer
-from mixer_torch.scorers.learned import load_network
+from mixer_torch.scorers.pair_network import as_evidence, load_network
 from mixer_torch.train.cli import main as mixer_train
 from mixer_torch.train.data import EpochSampler, Rows, by_identity
 from mixer_torch.train.dependence import dependence
-from mixer_torch.train.pairs import PairTraining, as_evidence, parts_of_objects
+from mixer_torch.train.pairs import PairTraining, parts_of_objects
 from mixer_torch.train.tables import PairTable
 
 
@@ -200,13 +200,16 @@ def objects_table(identity):
 
 def started(table, members):
     """A training that has been set up, without a trainer."""
-    training = PairTraining([], members=members)
-    training._data = lambda: SimpleNamespace(
-        modalities=("a", "b"),
-        kept=1.0,
-        tables=lambda part: [table],
-        replace_evidence_by_scores=lambda: None,
-    )
+
+    class WithoutTrainer(PairTraining):
+        data = SimpleNamespace(
+            modalities=("a", "b"),
+            kept=1.0,
+            tables=lambda part: [table],
+            replace_evidence_by_scores=lambda: None,
+        )
+
+    training = WithoutTrainer([], members=members)
     training.log = lambda *args, **options: None
     training.setup("fit")
     return training

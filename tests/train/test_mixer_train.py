@@ -39,9 +39,9 @@ def config(tmp_path):
         write_table(tmp_path / f"{part}.csv", seed)
     settings = {
         "out": str(tmp_path / "run"),
-        "model": {"class_path": "mixer_torch.train.calibration.CalibratorTraining"},
+        "model": {"class_path": "mixer_torch.train.CalibratorTraining"},
         "data": {
-            "class_path": "mixer_torch.train.data.PairData",
+            "class_path": "mixer_torch.train.PairData",
             "init_args": {
                 "scorers": [
                     {"class_path": "mixer_torch.scorers.Proximity", "init_args": {"scale": 0.4}},
@@ -146,7 +146,7 @@ def test_killed_in_mid_epoch_it_ends_with_the_same_metrics(config, tmp_path):
         (
             [
                 "--model.init_args.special",
-                "{Sonar: {class_path: mixer_torch.scorers.calibrators.Platt}}",
+                "{Sonar: {class_path: mixer_torch.scorers.Platt}}",
             ],
             "Sonar",
         ),
@@ -175,9 +175,19 @@ def test_data_without_truth_says_so(config, tmp_path, capsys):
     assert "identity" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "path", sorted((Path(__file__).parents[2] / "configs" / "train").glob("*.yaml"))
-)
+ROOT = Path(__file__).parents[2]
+CONFIGURATIONS = [
+    *(ROOT / "configs" / "train").glob("*.yaml"),
+    *(ROOT / "benchmarks" / "configs").glob("*/train_*.yaml"),
+]
+
+
+def test_there_is_one_configuration_a_task():
+    names = {path.stem for path in CONFIGURATIONS if path.parent.name == "train"}
+    assert names == {"calibrators", "fusion", "embedding"}
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGURATIONS), ids=lambda path: path.stem)
 def test_configurations_of_the_project_are_valid(path, capsys):
     with pytest.raises(SystemExit) as ended:
         mixer_train(["fit", "--config", str(path), "--print_config"])

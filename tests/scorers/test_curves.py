@@ -7,7 +7,7 @@ import pytest
 import torch
 from sklearn.linear_model import LogisticRegression
 
-from mixer_torch.scorers.calibration import Logistic, PiecewiseLinear
+from mixer_torch.scorers.curves import Logistic, PiecewiseLinear
 
 
 def test_logistic_by_hand():

@@ -6,8 +6,8 @@ import torch
 import mixer_torch as mx
 from mixer_torch.observations import Observations
 from mixer_torch.scorers import IoU, Proximity
-from mixer_torch.scorers.fitted import load_calibrator
-from mixer_torch.scorers.learned import (
+from mixer_torch.scorers.calibrators import load_calibrator
+from mixer_torch.scorers.pair_network import (
     EvidenceEnsemble,
     EvidenceNetwork,
     PairNetwork,

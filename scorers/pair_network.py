@@ -11,20 +11,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from mixer_torch.io.weights import load_weights, read_weights, write_weights
 from mixer_torch.observations import Observations
-from mixer_torch.scorers.calibration import Logistic
 from mixer_torch.scorers.covariates import Covariates
-from mixer_torch.scorers.fitted import log_ratio_of, read_safetensors, write_safetensors
+from mixer_torch.scorers.curves import Logistic
+from mixer_torch.scorers.likelihood_ratio import log_ratio_of
 from mixer_torch.scorers.proximity import Proximity
-from mixer_torch.scoring import Calibrator, Scorer, unique_names
+from mixer_torch.scoring import NOTHING_TO_SAY, Calibrator, Scorer, unique_names
 
-FORMAT = "mixer-torch pair network 2"
-SURE = 8.0
-"""Largest log likelihood ratio that goes in or comes out, nats."""
+FORMAT = "mixer-torch pair network 3"
+MAX_LOG_RATIO = 8.0
+"""Largest log likelihood ratio that goes in or comes out, nats: a convention, odds of 3,000."""
 
 
 class EvidenceNetwork(nn.Module):
-    """r = Σ_k w_k r_k + f(r_1, …, r_l, which are there, φ(c)): naive Bayes and a correction.
+    """r = Σ_k w_k r_k + f(r_1, …, r_l, which are known, φ(c)): naive Bayes and a correction.
 
     r_k is the log likelihood ratio of modality k, 0 where it has nothing to say; f is a network of
     one hidden layer that starts as 0, so that before training the answer is that of log-odds
@@ -56,19 +57,19 @@ class EvidenceNetwork(nn.Module):
             covariates: Raw values.
         """
         says = ~ratios.isnan()
-        known = ratios.where(says, ratios.new_zeros(())).clamp(-SURE, SURE)
+        known = ratios.where(says, ratios.new_zeros(())).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
         columns = self.covariates.columns(covariates).to(known)
         inputs = torch.cat([known.T / 2, says.T.to(known), columns], 1)
         correction = self.out(torch.tanh(self.hidden(inputs)))[:, 0]
-        ratio = (self.weights @ known + correction).clamp(-SURE, SURE)
+        ratio = (self.weights @ known + correction).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
         return ratio.where(says.any(0), ratio.new_full((), torch.nan))
 
 
 class EvidenceEnsemble(nn.Module):
     """r = (1/n) Σ_i r_i: the mean of the log likelihood ratios of several networks.
 
-    Networks that differ in what they started from and in whom they were trained on agree where the
-    evidence is plain and differ where it is not; their mean depends less on both than any of them.
+    Networks with other initial weights, trained on other objects, agree where the evidence is plain
+    and differ where it is not, so that their mean varies less with either than one network does.
 
     Args:
         members: One or more, of the same modalities and covariates.
@@ -85,7 +86,7 @@ class EvidenceEnsemble(nn.Module):
 
     @property
     def covariates(self) -> Covariates:
-        """Those of the first, which reads them as all do."""
+        """Those of the first member: all members read the same."""
         first: Any = self.members[0]
         return first.covariates
 
@@ -146,14 +147,16 @@ class PairNetwork(Scorer):
     def compare(self, description: tuple[Any, ...], pairs: Tensor) -> Tensor:
         *parts, features = description
         rows = []
-        for scorer, (described, circumstances) in zip(self._parts(), parts, strict=True):
-            evidence = scorer.compare(described, pairs)
-            says = ~evidence.isnan()
-            finite = evidence.where(says, evidence.new_zeros(()))
-            score = scorer.calibrator.calibrate(finite, circumstances, pairs)
-            ratio = log_ratio_of(score)
-            rows.append(ratio.where(says, ratio.new_full((), torch.nan)).float())
+        for scorer, (described, context) in zip(self._parts(), parts, strict=True):
+            score = scorer.score_described(described, pairs, None, context)
+            rows.append(as_evidence(score))
         return self.network(torch.stack(rows), self.network.covariates.of(features, pairs))
+
+
+def as_evidence(scores: Float[Tensor, "*l P"]) -> Float[Tensor, "*l P"]:
+    """Log likelihood ratios of scores, NaN at 0.5: nothing to say."""
+    ratio = log_ratio_of(scores).float()
+    return ratio.where(scores != NOTHING_TO_SAY, ratio.new_full((), torch.nan))
 
 
 def save_network(
@@ -163,13 +166,12 @@ def save_network(
     ensemble = network if isinstance(network, EvidenceEnsemble) else EvidenceEnsemble([network])
     first: Any = ensemble.members[0]
     settings = {
-        "format": FORMAT,
         "modalities": json.dumps(list(modalities)),
         "covariates": json.dumps(list(first.covariates.names)),
         "width": str(first.hidden.out_features),
         "members": str(len(ensemble.members)),
     }
-    write_safetensors(path, ensemble, settings)
+    write_weights(path, FORMAT, ensemble, settings)
 
 
 def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceEnsemble:
@@ -179,7 +181,7 @@ def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceEnsembl
         FileNotFoundError: There is no such file.
         ValueError: It is something else, or of other modalities.
     """
-    tensors, settings = read_safetensors(path, FORMAT)
+    tensors, settings = read_weights(path, FORMAT)
     names = json.loads(settings["modalities"])
     if list(modalities) != names:
         raise ValueError(
@@ -189,8 +191,5 @@ def load_network(path: str | Path, modalities: Sequence[str]) -> EvidenceEnsembl
     network = EvidenceEnsemble(
         [EvidenceNetwork(len(names), covariates, width) for _ in range(int(settings["members"]))]
     )
-    try:
-        network.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: {error}") from error
+    load_weights(path, network, tensors)
     return network.requires_grad_(False)
