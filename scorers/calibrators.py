@@ -270,7 +270,7 @@ def _path_of(kind: type) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 
-def _subclasses(kind: type[LikelihoodRatio]) -> list[type[LikelihoodRatio]]:
+def _subclasses(kind: type) -> list[Any]:
     children = kind.__subclasses__()
     return [*children, *(other for child in children for other in _subclasses(child))]
 
