@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from mixer_torch.fusion import Fusion, LinearFusion
 from mixer_torch.io.files import load_npz, save_npz
-from mixer_torch.observations import integers
+from mixer_torch.observations import count_views, integers
 from mixer_torch.pairs import within_view
-
-if TYPE_CHECKING:
-    from mixer_torch.fusion import Fusion
 
 FORMAT = "mixer-torch affinity 1"
 
@@ -67,6 +65,13 @@ class Affinity:
                 f"scores: expected values in [0, 1], got {scores[modality, pair].item()} "
                 f"in modality {self.modalities[modality]!r} for the pair ({a}, {b})"
             )
+
+    def __repr__(self) -> str:
+        scores = f"{str(self.scores.dtype).removeprefix('torch.')} on {self.scores.device}"
+        return (
+            f"Affinity({count_views(self.view)}; {self.pairs.shape[1]} pairs; "
+            f"modalities: {', '.join(self.modalities)}; {scores})"
+        )
 
     def __len__(self) -> int:
         """m, the number of observations."""
@@ -137,8 +142,6 @@ class Affinity:
 
         The paper's sum of 1 - 2 s where fusion is None.
         """
-        from mixer_torch.fusion import LinearFusion
-
         fusion = LinearFusion() if fusion is None else fusion
         return fusion(self.scores, self.modalities)
 

@@ -61,6 +61,18 @@ class Association:
         if (self.labels is None) == (self.declared_links is None):
             raise ValueError("labels, declared_links: expected one of them, got both or neither")
 
+    def __repr__(self) -> str:
+        if self.labels is None:
+            found, device = f"{self.links.shape[1]} links, no labels", self.links.device
+        else:
+            found = f"{len(self.labels)} observations in {self.num_clusters} clusters"
+            device = self.labels.device
+        bound = "" if self.lower_bound is None else f", lower bound {self.lower_bound:.6g}"
+        return (
+            f"Association({found}; objective {self.objective:.6g}{bound}; "
+            f"{self.status.name}; {device})"
+        )
+
     @cached_property
     def links(self) -> Int64[Tensor, "2 Q"]:
         """(2, Q) all pairs that are declared the same, the smaller index first.

@@ -85,6 +85,9 @@ class VideoFrames(Sequence[np.ndarray]):
         self._length = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         self._position = 0
 
+    def __reduce__(self) -> Any:
+        return VideoFrames, (self.path,)  # an open video cannot be pickled: it is opened anew
+
     def __len__(self) -> int:
         return self._length
 
@@ -134,6 +137,9 @@ class Images:
                 f"frame: expected values in 0..{len(frames) - 1}, "
                 f"got {self.frame_index.min()}..{self.frame_index.max()}"
             )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_cached": None}  # the decoded frame can be had again
 
     def __len__(self) -> int:
         return len(self.frame_index)
@@ -213,6 +219,16 @@ class Observations:
             raise ValueError(
                 f"images: expected one for each of {len(view)} observations, got {len(self.images)}"
             )
+
+    def __reduce__(self) -> Any:
+        # without this the read-only mapping of features could be neither pickled nor copied
+        return type(self), (self.view, dict(self.features), self.images)
+
+    def __repr__(self) -> str:
+        features = [f"features: {', '.join(self.features)}"] if self.features else []
+        images = ["images"] if self.images is not None else []
+        parts = [count_views(self.view), *features, *images, str(self.device)]
+        return f"Observations({'; '.join(parts)})"
 
     def __len__(self) -> int:
         return len(self.view)
@@ -300,6 +316,14 @@ def distinct_views(view: Int64[Tensor, " m"]) -> Int64[Tensor, " m"]:
     lonely = view < 0
     fresh = torch.cumsum(lonely, 0) + view.max().clamp(min=0) if len(view) else view
     return torch.unique(torch.where(lonely, fresh, view), return_inverse=True)[1]
+
+
+def count_views(view: Int64[Tensor, " m"]) -> str:
+    """How many observations there are, in how many views, in words."""
+    views = len(torch.unique(view[view >= 0]))
+    alone = int((view < 0).sum())
+    without = f", {alone} of them without a view" if alone else ""
+    return f"{len(view)} observations in {views} views{without}"
 
 
 def integers(name: str, value: Any) -> Tensor:

@@ -122,3 +122,11 @@ def test_malformed_matrices_are_refused():
         mx.Affinity.from_dense(scores, VIEW)
     with pytest.raises(ValueError, match="indistinct: no observation is of view 8"):
         mx.Affinity.from_dense(matrix(), VIEW, indistinct=[8])
+
+
+def test_repr_is_one_short_line():
+    affinity = mx.Affinity.from_dense(matrix(), VIEW, ("iou", "color"))
+    assert repr(affinity) == (
+        "Affinity(5 observations in 2 views, 2 of them without a view; 9 pairs; "
+        "modalities: iou, color; float64 on cpu)"
+    )

@@ -80,3 +80,13 @@ def test_links_without_labels_are_saved(tmp_path):
 def test_every_status_says_what_happened():
     assert all(len(status.value) > 10 for status in mx.Status)
     assert "raise time_limit" in mx.Status.TIME_LIMIT.value
+
+
+def test_repr_is_one_short_line():
+    found = mx.Association(torch.tensor([0, 0, 1]), -1.5, mx.Status.OPTIMAL, -1.5)
+    assert repr(found) == (
+        "Association(3 observations in 2 clusters; objective -1.5, lower bound -1.5; OPTIMAL; cpu)"
+    )
+    links = torch.tensor([[0, 1], [1, 2]])
+    loose = mx.Association(None, 2.0, mx.Status.INCONSISTENT, declared_links=links)
+    assert repr(loose) == "Association(2 links, no labels; objective 2; INCONSISTENT; cpu)"

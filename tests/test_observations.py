@@ -1,7 +1,9 @@
 """Observations: what is checked, kept and written."""
 
+import copy
 import dataclasses
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -244,3 +246,42 @@ def test_a_half_written_file_never_stands(tmp_path):
         save_npz(path, {"format": np.array("x"), "a": np.arange(5), "b": Breaks()})
     assert load_npz(path, "x")["a"].tolist() == [0, 1, 2]
     assert [file.name for file in tmp_path.iterdir()] == ["s.npz"]
+
+
+@pytest.mark.parametrize("kind", ["none", "folder", "video"])
+@pytest.mark.parametrize("how", ["pickle", "copy", "deepcopy"])
+def test_pickled_and_copied_is_the_same(tmp_path, kind, how):
+    images = None
+    if kind != "none":
+        write_video(tmp_path / "v.avi", 3)
+        video = kind == "video"
+        frames = (
+            VideoFrames(tmp_path / "v.avi") if video else FolderFrames(write_frames(tmp_path, 3))
+        )
+        images = Images(frames, [2, 0, 1])
+        images.crop(1)
+    seen = example(images)
+    again = pickle.loads(pickle.dumps(seen)) if how == "pickle" else getattr(copy, how)(seen)
+    assert torch.equal(again.view, seen.view)
+    assert again.features.keys() == seen.features.keys()
+    for name, value in seen.features.items():
+        torch.testing.assert_close(again[name], value, equal_nan=True, rtol=0, atol=0)
+    with pytest.raises(TypeError):
+        again.features["new"] = again.view
+    if images is not None:
+        for i in range(3):
+            np.testing.assert_array_equal(again.images.crop(i), seen.images.crop(i))
+
+
+def test_repr_is_one_short_line():
+    seen = Observations(
+        torch.tensor([4, 4, 0, -1]), {"time": torch.zeros(4), "box": torch.ones(4, 4)}
+    )
+    assert repr(seen) == (
+        "Observations(4 observations in 2 views, 1 of them without a view; "
+        "features: time, box; cpu)"
+    )
+    nothing = Observations(torch.zeros(0))
+    assert repr(nothing) == "Observations(0 observations in 0 views; cpu)"
+    with_images = Observations(torch.zeros(1, dtype=torch.int64), images=Images(Spy(1), [0]))
+    assert repr(with_images) == "Observations(1 observations in 1 views; images; cpu)"
