@@ -1,6 +1,7 @@
 """Training through the clustering: a loss on U Uᵀ of the relaxed problem, and its derivative.
 
-The relaxed problem with rows on the simplex (see :mod:`mixer_torch.solvers.gradient.annealing`),
+The relaxed problem with rows on the simplex (see
+:mod:`mixer_torch.solvers.gradient.graduated_non_convexity`),
 
     minimise  F(U) = <U Uᵀ, Ā> / |λ| + w <U Uᵀ, P_d> − c ‖U‖²,   λ the least eigenvalue of Ā,
 
@@ -30,7 +31,7 @@ from mixer_torch.datasets.base import Dataset
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.scorers.pair_network import MAX_LOG_RATIO, EvidenceEnsemble, load_network
 from mixer_torch.scoring import Scorer
-from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
+from mixer_torch.solvers.eigen import extreme_eigenvalues
 from mixer_torch.solvers.gradient.relaxation import distinctness_matrix, project_to_simplex
 from mixer_torch.train.data import EpochSampler, PairData
 from mixer_torch.train.evaluation import solved

@@ -136,7 +136,7 @@ def _run(
     """The solution of each problem, those that have no nodes included."""
     full = [problem for problem in problems if len(problem)]
     for problem in full:
-        if problem.tokens is not None and not solver.takes_tokens:
+        if problem.groups is not None and not solver.takes_groups:
             raise ValueError(
                 f"solver: {type(solver).__name__} cannot honour these must_link or cannot_link "
                 "pairs, which give some observations more than one view; use Mixer or Exact"
@@ -189,14 +189,14 @@ def _associations(
 
 
 def _expanded(reductions: Sequence[Reduction], solutions: Sequence[Solution]) -> list[Solution]:
-    """Solutions of reduced problems, told for all observations, where the problems are."""
+    """Solutions of reduced problems, with labels for all observations, where the problems are."""
     given = {i: s.labels for i, s in enumerate(solutions) if s.labels is not None}
     for i, label in given.items():
         if len(label) != len(reductions[i].problem):
             raise RuntimeError(
                 f"the solver returned {len(label)} labels for {len(reductions[i].problem)}"
             )
-    devices = [reductions[i].group.device for i in given]
+    devices = [reductions[i].node.device for i in given]
     there = dict(zip(given, on_devices(list(given.values()), devices), strict=True))
     return [
         reduction.expand(replace(solution, labels=there.get(i)))

@@ -15,14 +15,16 @@ from typing import Any
 
 import numpy as np
 
-# in place of a node or slot; a plain -1 would be a type of its own to numba
+# "No node" or "no slot": an int64, because a plain -1 would be a type of its own to numba.
 NONE: Any = np.int64(-1)
+# Of splitmix64 (Steele, Lea, Flood, OOPSLA 2014): the increment of the state, which is 2^64 over
+# the golden ratio, and the factors of the finaliser.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-_HALF = np.uint64(32)  # bits
 _MIX_2 = np.uint64(0x94D049BB133111EB)
+_HALF = np.uint64(32)  # bits of a hash that a draw uses
 _INNER = {
-    "_nrt": False,
+    "_nrt": False,  # arrays are not counted: they belong to the kernel that calls
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
     "forceinline": True,
@@ -50,7 +52,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def inner(function: Callable[..., Any]) -> Any:
-    """Compile into the kernels that call it what makes no array.
+    """A function that makes no array and is compiled into the kernels that call it.
 
     A call would pass every field of every array of a state, a hundred values and more, through
     memory: that took longer than what most of these functions do.

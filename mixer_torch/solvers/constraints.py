@@ -19,29 +19,30 @@ from mixer_torch.solvers.problem import Problem, Solution
 
 @dataclass(frozen=True)
 class Reduction:
-    """A problem whose nodes are groups of must-linked observations.
+    """A problem each of whose nodes is one observation, or several that must-link pairs connect.
 
-    The views of a group unite. A group may not share a cluster with another one of a common view;
-    two groups that a cannot-link pair joins get a further view in common, which nothing else has.
-    The cost between two groups is the sum over their pairs; the cost inside them is a constant.
+    A node has the views of all of its observations, and may not share a cluster with another node
+    that has one of them; two nodes that a cannot-link pair names are a cannot-link group of their
+    own. The cost between two nodes is the sum over their pairs of observations; the cost inside a
+    node is a constant.
 
     Args:
         problem: The smaller problem. Where the constraints change nothing, the one that came.
-        group: (m,) the node of each observation.
-        offset: Cost of the listed pairs inside groups.
-        apart: (2, K) the cannot-link pairs.
+        node: (m,) the node of each observation.
+        offset: Cost of the listed pairs inside nodes.
+        cannot_link: (2, K) the cannot-link pairs of observations.
     """
 
     problem: Problem
-    group: Int64[Tensor, " m"]
+    node: Int64[Tensor, " m"]
     offset: float
-    apart: Int64[Tensor, "2 K"]
+    cannot_link: Int64[Tensor, "2 K"]
 
     def expand(self, solution: Solution) -> Solution:
-        """The solution of the smaller problem, told for the observations of the larger one."""
+        """The solution of the smaller problem, with a label for every observation."""
         labels, links, bound = solution.labels, solution.links, solution.lower_bound
         if labels is not None:
-            labels = labels.to(self.group.device)[self.group]
+            labels = labels.to(self.node.device)[self.node]
         if links is not None:
             links = self._members(links)
         bound = None if bound is None else bound + self.offset
@@ -49,26 +50,26 @@ class Reduction:
 
     def broken(self, labels: Int64[Tensor, " m"]) -> str | None:
         """Which must-link or cannot-link pair labels break; None if they honour all."""
-        if len(self.problem) == len(self.group) and not self.apart.shape[1]:
+        if len(self.problem) == len(self.node) and not self.cannot_link.shape[1]:
             return None  # there are none, and to look would make the host wait for a device
-        first = torch.zeros_like(self.group)
-        place = torch.arange(len(self.group), device=self.group.device)
-        first = first.scatter_reduce(0, self.group, place, "amin", include_self=False)
-        split = (labels != labels[first[self.group]]).nonzero()
+        first = torch.zeros_like(self.node)
+        place = torch.arange(len(self.node), device=self.node.device)
+        first = first.scatter_reduce(0, self.node, place, "amin", include_self=False)
+        split = (labels != labels[first[self.node]]).nonzero()
         if len(split):
             i = int(split[0, 0])
-            return f"must_link of {int(first[self.group[i]])} and {i}"
-        joined = (labels[self.apart[0]] == labels[self.apart[1]]).nonzero()
+            return f"must_link of {int(first[self.node[i]])} and {i}"
+        joined = (labels[self.cannot_link[0]] == labels[self.cannot_link[1]]).nonzero()
         if len(joined):
-            a, b = self.apart[:, joined[0, 0]].tolist()
+            a, b = self.cannot_link[:, joined[0, 0]].tolist()
             return f"cannot_link ({a}, {b})"
         return None
 
     def _members(self, links: Int64[Tensor, "2 Q"]) -> Int64[Tensor, "2 R"]:
-        """All pairs of observations that links between groups stand for, and those in groups."""
-        links = links.to(self.group.device)
-        order = torch.argsort(self.group, stable=True)
-        size = torch.bincount(self.group, minlength=len(self.problem))
+        """All pairs of observations that links between nodes stand for, and those inside nodes."""
+        links = links.to(self.node.device)
+        order = torch.argsort(self.node, stable=True)
+        size = torch.bincount(self.node, minlength=len(self.problem))
         start = torch.cumsum(size, 0) - size
         count = size[links[0]] * size[links[1]]
         which = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
@@ -79,7 +80,7 @@ class Reduction:
         a = order[start[links[0]][which] + rank // width]
         b = order[start[links[1]][which] + rank % width]
         return torch.cat(
-            [torch.stack([torch.minimum(a, b), torch.maximum(a, b)]), links_of(self.group)], 1
+            [torch.stack([torch.minimum(a, b), torch.maximum(a, b)]), links_of(self.node)], 1
         )
 
 
@@ -109,11 +110,11 @@ def constrain(
         view = waive(view, indistinct)
         problem = replace(problem, view=distinct_views(view))
     if not must.shape[1] and not cannot.shape[1]:
-        group = torch.arange(len(view), device=view.device)
-        return problem, Reduction(problem, group, 0.0, cannot)
-    group = _groups(must, len(view))
-    _check(group, must, cannot, view)
-    return problem, _reduce(problem, group, cannot)
+        node = torch.arange(len(view), device=view.device)
+        return problem, Reduction(problem, node, 0.0, cannot)
+    node = _nodes(must, len(view))
+    _check(node, must, cannot, view)
+    return problem, _reduce(problem, node, cannot)
 
 
 def linked_pairs(name: str, value: Any, view: Int64[Tensor, " m"]) -> Int64[Tensor, "2 K"]:
@@ -139,15 +140,15 @@ def linked_pairs(name: str, value: Any, view: Int64[Tensor, " m"]) -> Int64[Tens
     return pairs
 
 
-def _groups(must: Int64[Tensor, "2 K"], m: int) -> Int64[Tensor, " m"]:
+def _nodes(must: Int64[Tensor, "2 K"], m: int) -> Int64[Tensor, " m"]:
     a, b = must.cpu().numpy()
     label = connected_components(coo_array(([1] * len(a), (a, b)), shape=(m, m)), False)[1]
     return by_first_appearance(torch.as_tensor(label, dtype=torch.int64)).to(must.device)
 
 
-def _check(group: Tensor, must: Tensor, cannot: Tensor, view: Tensor) -> None:
+def _check(node: Tensor, must: Tensor, cannot: Tensor, view: Tensor) -> None:
     """ValueError where must-link chains join two of one view or a cannot-link pair."""
-    joined = (group[cannot[0]] == group[cannot[1]]).nonzero()
+    joined = (node[cannot[0]] == node[cannot[1]]).nonzero()
     if len(joined):
         a, b = cannot[:, joined[0, 0]].tolist()
         raise ValueError(
@@ -155,7 +156,7 @@ def _check(group: Tensor, must: Tensor, cannot: Tensor, view: Tensor) -> None:
             f"{_chain(must, len(view), a, b)}"
         )
     seen = (view >= 0).nonzero()[:, 0]
-    key = group[seen] * len(view) + torch.unique(view[seen], return_inverse=True)[1]
+    key = node[seen] * len(view) + torch.unique(view[seen], return_inverse=True)[1]
     key, order = torch.sort(key, stable=True)
     twice = (key[1:] == key[:-1]).nonzero()
     if len(twice):
@@ -177,23 +178,23 @@ def _chain(must: Tensor, m: int, a: int, b: int) -> str:
     return ", ".join(steps)
 
 
-def _reduce(problem: Problem, group: Tensor, cannot: Tensor) -> Reduction:
-    count = int(group.max()) + 1
-    inside = group[problem.pairs[0]] == group[problem.pairs[1]]
+def _reduce(problem: Problem, node: Tensor, cannot: Tensor) -> Reduction:
+    count = int(node.max()) + 1
+    inside = node[problem.pairs[0]] == node[problem.pairs[1]]
     offset = float(problem.cost[inside].double().sum())
-    tokens = _shared_tokens(problem, group, cannot)
-    ends = group[problem.pairs]
+    groups = _cannot_link_groups(problem, node, cannot)
+    ends = node[problem.pairs]
     low, high = ends.min(0).values, ends.max(0).values
-    keep = ~inside & ~_conflicting(tokens, low, high, count)
+    keep = ~inside & ~_conflicting(groups, low, high, count)
     key, order = torch.sort((low * count + high)[keep], stable=True)
     key, size = torch.unique_consecutive(key, return_counts=True)
     cost = _sums(problem.cost[keep][order].double(), size).to(problem.cost.dtype)
     score = _sums(problem.score[keep][order].double(), size) / size
     pairs = torch.stack([key // count, key % count])
     reduced = Problem(
-        pairs, cost, torch.arange(count, device=group.device), score.to(problem.score.dtype), tokens
+        pairs, cost, torch.arange(count, device=node.device), score.to(problem.score.dtype), groups
     )
-    return Reduction(reduced.simplified(), group, offset, cannot)
+    return Reduction(reduced.simplified(), node, offset, cannot)
 
 
 def _sums(value: Tensor, size: Tensor) -> Tensor:
@@ -203,30 +204,29 @@ def _sums(value: Tensor, size: Tensor) -> Tensor:
     return torch.segment_reduce(value, "sum", lengths=size)
 
 
-def _shared_tokens(problem: Problem, group: Tensor, cannot: Tensor) -> Int64[Tensor, "2 K"]:
-    """(node, token) pairs: the views of each group, and one more for each cannot-link pair."""
+def _cannot_link_groups(problem: Problem, node: Tensor, cannot: Tensor) -> Int64[Tensor, "2 K"]:
+    """(node, group) pairs: the views of each node, and one more group for each cannot-link pair."""
     base = int(problem.view.max()) + 1
-    extra = base + torch.arange(cannot.shape[1], device=group.device)
-    node = torch.cat([group, group[cannot[0]], group[cannot[1]]])
-    token = torch.cat([problem.view, extra, extra])
-    return torch.stack([node, token])
+    extra = base + torch.arange(cannot.shape[1], device=node.device)
+    member = torch.cat([node, node[cannot[0]], node[cannot[1]]])
+    return torch.stack([member, torch.cat([problem.view, extra, extra])])
 
 
-def _conflicting(tokens: Tensor, low: Tensor, high: Tensor, count: int) -> Bool[Tensor, " P"]:
-    """Which of the pairs of nodes have a token in common.
+def _conflicting(groups: Tensor, low: Tensor, high: Tensor, count: int) -> Bool[Tensor, " P"]:
+    """Which of the pairs of nodes have a cannot-link group in common.
 
-    The tokens of the end that has fewer are looked up at the other end: as many steps as there are
-    pairs, whatever the size of the views.
+    The groups of the end that is in fewer are looked up at the other end: as many steps as there
+    are pairs, whatever the size of the views.
     """
-    node, token = tokens[:, torch.argsort(tokens[0], stable=True)]
+    node, group = groups[:, torch.argsort(groups[0], stable=True)]
     size = torch.bincount(node, minlength=count)
     few = torch.where(size[low] <= size[high], low, high)
     which = torch.repeat_interleave(torch.arange(len(few), device=few.device), size[few])
     begin = torch.cumsum(size[few], 0) - size[few]
     entry = (torch.cumsum(size, 0) - size)[few][which] - begin[which]
     entry += torch.arange(len(which), device=few.device)
-    width = int(token.max()) + 1
-    common = torch.isin((low + high - few)[which] * width + token[entry], node * width + token)
+    width = int(group.max()) + 1
+    common = torch.isin((low + high - few)[which] * width + group[entry], node * width + group)
     clash = torch.zeros_like(low, dtype=torch.bool)
     clash[which[common]] = True
     return clash

@@ -43,7 +43,7 @@ class Exact(Solver):
     Optimal means: no clustering is better by more than 1e-7 of the largest cost.
     """
 
-    takes_tokens = True
+    takes_groups = True
 
     def __init__(self, time_limit: float = 60.0, start: Solver | None = None) -> None:
         if not time_limit >= 0:
@@ -84,7 +84,7 @@ class Exact(Solver):
         limit = max(self.time_limit / 2, SHORTEST)
         start = Mixer(time_limit=limit) if self.start is None else self.start
         alone = np.arange(len(problem))
-        if problem.tokens is not None and not start.takes_tokens:
+        if problem.groups is not None and not start.takes_groups:
             return alone
         labels = start.run(problem).labels
         return alone if labels is None else labels.cpu().numpy()

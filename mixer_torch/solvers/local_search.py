@@ -17,11 +17,11 @@ from mixer_torch.solvers.search.greedy import greedy
 class LocalSearch(Solver):
     """The refinement of :class:`~mixer_torch.solvers.mixer.Mixer` without its gradient stage.
 
-    Clusters are contracted greedily (:func:`~mixer_torch.solvers.search.greedy.greedy`), then moves
-    of single observations, re-matching of views, merges, exchanges and perturbed restarts lower
-    the cost (:func:`~mixer_torch.solvers.refinement.refine`). For small problems that come one
-    after the other and whose answers the evidence leaves in little doubt, as in online tracking,
-    it takes a fraction of the time. ``stats`` tells what :func:`refine` does.
+    Greedy contraction (:func:`~mixer_torch.solvers.search.greedy.greedy`) gives clusters; node
+    moves, linear assignment of one view, merges, Kernighan-Lin exchanges and perturbed restarts
+    lower their cost (:func:`~mixer_torch.solvers.refinement.refine`). It takes a fraction of
+    ``Mixer``'s time, and suits small problems that come one after the other and whose answers are
+    in little doubt, as in online tracking. ``stats`` are those of :func:`refine`.
 
     Args:
         restarts: Perturbed restarts of a part at most.
@@ -32,7 +32,7 @@ class LocalSearch(Solver):
         ValueError: An argument is out of range.
     """
 
-    takes_tokens: ClassVar[bool] = True
+    takes_groups: ClassVar[bool] = True
 
     def __init__(self, restarts: int = 10, time_limit: float | None = None, seed: int = 0) -> None:
         if restarts < 0:

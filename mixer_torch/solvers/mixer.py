@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Sequence
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar
 
 import torch
 
 from mixer_torch.association import Status
+from mixer_torch.solvers.batch import ProblemBatch
 from mixer_torch.solvers.gradient.batch import Batch, buckets
+from mixer_torch.solvers.gradient.graduated_non_convexity import GraduatedNonConvexity, Precision
+from mixer_torch.solvers.gradient.penalty_doubling import PenaltyDoubling, Projection
+from mixer_torch.solvers.gradient.schedule import Schedule, choice
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
-from mixer_torch.solvers.joint import Clock, solve_side_by_side
+from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.problem import Problem, Solution, Solver
-from mixer_torch.solvers.refinement import RESTARTS
+from mixer_torch.solvers.refinement import RESTARTS, Effort
+from mixer_torch.solvers.search.decomposition import cut_along
+from mixer_torch.solvers.search.greedy import greedy
 
-Schedule = Literal["anneal", "penalty"]
-Projection = Literal["row_sum_at_most_one", "simplex"]
-Precision = Literal["float32", "tf32", "bfloat16"]
+RELAXING = 0.3  # share of the progress that is reported at the end of the gradient stage: a guess
 
 
 class Mixer(Solver):
     """Multimodal, multiway association by the continuous relaxation of the paper.
 
-    The gradient stage minimises the relaxed problem (:mod:`mixer_torch.solvers.gradient.relaxation`) until
-    it is binary and feasible; where steps run out first, the nearest feasible labels are taken and
-    the status says so. With refinement, each part of the problem that can be solved apart, and is
-    not too large for dense matrices, goes through it, and the better of its answer and of greedy
-    contraction is refined by discrete moves and perturbed restarts; the result is never worse than
-    either. ``Mixer(refine=False)`` is the algorithm of the paper, on the problem as a whole.
+    The gradient stage minimises the relaxed problem
+    (:mod:`mixer_torch.solvers.gradient.relaxation`) until it is binary and feasible; where steps
+    run out first, the nearest feasible labels are taken and the status says so. Each part of the
+    problem that can be solved apart, and is not too large for dense matrices, goes through it, and
+    the better of its answer and of greedy contraction is refined by discrete search with perturbed
+    restarts; the result is never worse than either. :meth:`paper` is the algorithm of the paper.
 
     ``stats`` tells ``binary_without_rounding``, ``iterations``, the last ``penalty`` and the
     ``history`` of the relaxed objective; with refinement also the number of ``parts``, how many
@@ -36,33 +42,29 @@ class Mixer(Solver):
     annealing and ruin and recreate have each lowered the objective by.
 
     Args:
-        max_iterations: Steps of the gradient stage at most. Annealing takes 100, and is followed by
-            the paper's schedule only where its result is not binary.
-        schedule: How the relaxation becomes binary: "anneal" sweeps it from convex to concave,
-            "penalty" is the paper's, with doubled penalties and Armijo line search. If None,
-            "anneal" with refinement, "penalty" without.
-        projection: Constraint on the rows of U in the paper's schedule: "row_sum_at_most_one", as
-            in the paper, or "simplex" (row sum 1), as in the authors' later version. Annealing
-            needs row sums of 1.
-        refine: Whether discrete moves follow. Without, this is the algorithm of the paper.
+        max_iterations: Steps of the gradient stage at most.
+        schedule: How the relaxation becomes binary: an instance of :class:`GraduatedNonConvexity`
+            or :class:`PenaltyDoubling` (the paper's), or their names, "anneal" and "penalty". If
+            None, the former with refinement and the latter without.
+        projection: Of ``PenaltyDoubling``, where it is not given as an instance.
+        refine: Whether discrete search follows. Without, each problem is relaxed as a whole.
         restarts: Perturbed restarts of a part at most. Fewer run where they keep coming back to the
             same answer. More find better answers of hard problems, in proportionally more time.
         time_limit: Seconds, after which the best answer so far is returned; None for no limit.
         seed: Of all random draws.
-        precision: Of the matrix products when annealing: "float32" (or float64, where the scores
-            are), "tf32" or "bfloat16".
+        precision: Of ``GraduatedNonConvexity``, where it is not given as an instance.
         progress: Told the fraction that is done, now and then.
 
     Raises:
         ValueError: An argument is out of range.
     """
 
-    takes_tokens: ClassVar[bool] = True
+    takes_groups: ClassVar[bool] = True
 
     def __init__(
         self,
         max_iterations: int = 1000,
-        schedule: str | None = None,
+        schedule: Schedule | str | None = None,
         projection: str = "row_sum_at_most_one",
         refine: bool = True,
         restarts: int = RESTARTS,
@@ -71,10 +73,9 @@ class Mixer(Solver):
         precision: str = "float32",
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        schedule = schedule or ("anneal" if refine else "penalty")
-        _check("schedule", schedule, Schedule)
-        _check("projection", projection, Projection)
-        _check("precision", precision, Precision)
+        choice("projection", projection, Projection)
+        choice("precision", precision, Precision)
+        schedule = _schedule(schedule or ("anneal" if refine else "penalty"), projection, precision)
         if max_iterations < 1:
             raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
         if restarts < 0:
@@ -86,42 +87,99 @@ class Mixer(Solver):
         self.time_limit = time_limit
         self.seed = seed
         self.progress = progress
-        self.gradient = GradientStage(schedule, projection, max_iterations, seed, precision)
+        self.gradient = GradientStage(schedule, max_iterations, seed)
+
+    @classmethod
+    def paper(
+        cls,
+        max_iterations: int = 1000,
+        projection: str = "row_sum_at_most_one",
+        time_limit: float | None = None,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> Mixer:
+        """The algorithm of the paper: its relaxation and schedule, and no discrete refinement.
+
+        Each problem is relaxed as a whole, with as many columns as observations.
+
+        Args:
+            max_iterations: Steps of projected gradient descent at most.
+            projection: Constraint on the rows of U, as in :class:`PenaltyDoubling`.
+            time_limit: Seconds; problems that have not begun then come back unsolved, with every
+                observation alone.
+            seed: Of the small disturbances.
+            progress: Told the fraction that is done, now and then.
+
+        Raises:
+            ValueError: An argument is out of range.
+        """
+        return cls(
+            max_iterations,
+            PenaltyDoubling(projection),
+            refine=False,
+            time_limit=time_limit,
+            seed=seed,
+            progress=progress,
+        )
 
     def run(self, problem: Problem) -> Solution:
         return self.run_batch([problem])[0]
 
     def run_batch(self, problems: Sequence[Problem]) -> list[Solution]:
-        groups: dict[tuple[torch.dtype, torch.device], list[int]] = {}
+        limit = math.inf if self.time_limit is None else self.time_limit
+        deadline = time.perf_counter() + limit
+        alike: dict[tuple[torch.dtype, torch.device], list[int]] = {}
         for i, problem in enumerate(problems):
-            groups.setdefault((problem.cost.dtype, problem.cost.device), []).append(i)
-        clock = Clock(self.time_limit)
+            alike.setdefault((problem.cost.dtype, problem.cost.device), []).append(i)
+        solve = self._solve if self.refine else self._relax_alone
         answers: dict[int, Solution] = {}
-        for group in groups.values():
-            chosen = [problems[i] for i in group]
+        for group in alike.values():
             tell = self._teller(len(answers), len(group), len(problems))
-            if self.refine:
-                solutions = solve_side_by_side(
-                    chosen, self.gradient, self.restarts, self.seed, clock, tell
-                )
-            else:
-                solutions = self._relaxed(chosen, clock, tell)
+            solutions = solve([problems[i] for i in group], deadline, tell)
             answers.update(zip(group, solutions, strict=True))
         return [answers[i] for i in range(len(problems))]
 
-    def _relaxed(
-        self, problems: list[Problem], clock: Clock, tell: Callable[[float], None]
+    def _solve(
+        self, problems: list[Problem], deadline: float, tell: Callable[[float], None]
+    ) -> list[Solution]:
+        """The whole algorithm, on problems of one dtype on one device.
+
+        1. The problems become one graph, which falls into parts that can be solved apart.
+        2. Greedy contraction gives each part a first clustering.
+        3. The gradient stage gives each part of a suitable size a second one.
+        4. From the better of the two, each part is refined by discrete search.
+        5. Clusters are split where no chain of negative costs holds them together.
+        """
+        batch = ProblemBatch.of(problems)
+        contracted = cut_along(greedy(batch.graph), batch.parts)
+        found = batch.relax(self.gradient, contracted, deadline, lambda part: tell(RELAXING * part))
+        relaxed = batch.labels(found, contracted)
+        start = batch.better(contracted, relaxed)
+        effort = Effort(
+            self.restarts,
+            self.seed,
+            deadline,
+            lambda part: tell(RELAXING + (1 - RELAXING) * part),
+        )
+        refined, states, timed_out = batch.refine(start, effort)
+        label = without_idle_links(batch.graph, refined)
+        tell(1.0)
+        stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
+        return batch.solutions(label, found, stages, states, timed_out)
+
+    def _relax_alone(
+        self, problems: list[Problem], deadline: float, tell: Callable[[float], None]
     ) -> list[Solution]:
         """The gradient stage alone, on each problem as a whole."""
         answers: dict[int, Relaxed] = {}
         for bucket in buckets([len(problem) for problem in problems], problems[0].cost.device):
-            if clock.is_over():
+            if time.perf_counter() >= deadline:
                 break
             batch = Batch.of([problems[i] for i in bucket])
             relaxed = self.gradient.run(batch, batch.mask.shape[1])
             answers.update(zip(bucket, relaxed, strict=True))
             tell(len(answers) / len(problems))
-        return [_solution(problems[i], answers.get(i)) for i in range(len(problems))]
+        return [_relaxed_solution(problems[i], answers.get(i)) for i in range(len(problems))]
 
     def _teller(self, done: int, now: int, total: int) -> Callable[[float], None]:
         """What to tell of the progress of some of the problems, as a fraction of all of them."""
@@ -133,7 +191,7 @@ class Mixer(Solver):
         return tell
 
 
-def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
+def _relaxed_solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
     """The answer of the gradient stage; every observation alone where time ran out before."""
     if relaxed is None:
         labels = torch.arange(len(problem), device=problem.view.device)
@@ -149,6 +207,16 @@ def _solution(problem: Problem, relaxed: Relaxed | None) -> Solution:
     return Solution(status, labels=relaxed.labels, stats=stats)
 
 
-def _check(name: str, value: str, choice: object) -> None:
-    if value not in get_args(choice):
-        raise ValueError(f"{name}: expected one of {', '.join(get_args(choice))}, got {value!r}")
+def _schedule(given: Schedule | str, projection: str, precision: str) -> Schedule:
+    """A schedule by its name, with what the constructor's other arguments say; objects as given."""
+    if isinstance(given, Schedule):
+        return given
+    by_name = {
+        "anneal": lambda: GraduatedNonConvexity(precision=precision),
+        "penalty": lambda: PenaltyDoubling(projection),
+    }
+    if given not in by_name:
+        raise ValueError(
+            f"schedule: expected a Schedule or one of {', '.join(by_name)}, got {given!r}"
+        )
+    return by_name[given]()

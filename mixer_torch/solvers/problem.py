@@ -30,18 +30,18 @@ class Problem:
         view: (m,) int64 >= 0.
         score: (P,) the mean of the modalities' scores, for algorithms that know only one score
             a pair. It is 0.5 where the paper's cost is 0: mean = (1 - cost / l) / 2.
-        tokens: (2, K) int64, or None where each node has one view and ``view`` says it all. Where
-            must-link or cannot-link pairs are given, a node is a group of observations with a set
-            of views: column (a, t) says that node a has token t, and two nodes with a token in
-            common may not share a cluster. ``view`` is then 0..m-1 and says nothing. Only a
-            solver whose class says ``takes_tokens`` is given such a problem.
+        groups: (2, K) int64 cannot-link groups, or None where each node has one view and ``view``
+            says it all. Where must-link or cannot-link pairs are given, a node is one or several
+            observations and has a set of views: column (a, g) says that node a is in group g, and
+            two nodes of one group may not share a cluster. ``view`` is then 0..m-1 and says
+            nothing. Only a solver whose class says ``takes_groups`` is given such a problem.
     """
 
     pairs: Int64[Tensor, "2 P"]
     cost: Float[Tensor, " P"]
     view: Int64[Tensor, " m"]
     score: Float[Tensor, " P"]
-    tokens: Int64[Tensor, "2 K"] | None = None
+    groups: Int64[Tensor, "2 K"] | None = None
 
     def __len__(self) -> int:
         """m, the number of observations."""
@@ -49,33 +49,33 @@ class Problem:
 
     @property
     def incidence(self) -> Int64[Tensor, "2 K"]:
-        """(2, K) which node has which token, whether they are sets of views or views."""
-        if self.tokens is not None:
-            return self.tokens
+        """(2, K) which node is in which cannot-link group; the views where there are no groups."""
+        if self.groups is not None:
+            return self.groups
         return torch.stack([torch.arange(len(self), device=self.view.device), self.view])
 
-    def apart(self) -> Bool[Tensor, "m m"]:
-        """Which nodes may not share a cluster (P_d of the paper): those with a common token."""
-        if self.tokens is None:
-            apart = self.view[:, None] == self.view
+    def conflicts(self) -> Bool[Tensor, "m m"]:
+        """The conflict mask, P_d of the paper: which nodes have a cannot-link group in common."""
+        if self.groups is None:
+            conflict = self.view[:, None] == self.view
         else:
-            token = torch.unique(self.tokens[1], return_inverse=True)[1]
-            has = self.cost.new_zeros(len(self), int(token.max()) + 1 if len(token) else 0)
-            has[self.tokens[0], token] = 1
-            apart = has @ has.T > 0
-        return apart.fill_diagonal_(False)
+            group = torch.unique(self.groups[1], return_inverse=True)[1]
+            has = self.cost.new_zeros(len(self), int(group.max()) + 1 if len(group) else 0)
+            has[self.groups[0], group] = 1
+            conflict = has @ has.T > 0
+        return conflict.fill_diagonal_(False)
 
     def simplified(self) -> Problem:
-        """The same problem without tokens that only one node has, as plain views if possible."""
-        if self.tokens is None:
+        """The same problem without groups of a single node, as plain views if possible."""
+        if self.groups is None:
             return self
-        token, size = torch.unique(self.tokens[1], return_inverse=True, return_counts=True)[1:]
-        node, token = self.tokens[0][size[token] > 1], token[size[token] > 1]
+        group, size = torch.unique(self.groups[1], return_inverse=True, return_counts=True)[1:]
+        node, group = self.groups[0][size[group] > 1], group[size[group] > 1]
         if len(node) and int(torch.bincount(node).max()) > 1:
-            return replace(self, tokens=torch.stack([node, token]))
+            return replace(self, groups=torch.stack([node, group]))
         view = torch.full_like(self.view, -1)
-        view[node] = token
-        return replace(self, view=distinct_views(view), tokens=None)
+        view[node] = group
+        return replace(self, view=distinct_views(view), groups=None)
 
     def dense_cost(self) -> Float[Tensor, "m m"]:
         """The symmetric matrix Ā of fused costs, 0 on the diagonal and within views."""
@@ -100,14 +100,14 @@ class Solution:
 
 
 class Solver(ABC):
-    """An algorithm. Its constructor takes the knobs; :func:`solve` does the rest.
+    """An algorithm. Its constructor takes the settings; ``solve()`` does the rest.
 
-    ``takes_tokens`` says whether it can solve a problem whose nodes have sets of views, which is
+    ``takes_groups`` says whether it can solve a problem whose nodes have sets of views, which is
     what must-link and cannot-link pairs lead to. One that cannot is only given such constraints
     where each group of linked observations is of one view at most.
     """
 
-    takes_tokens: ClassVar[bool] = False
+    takes_groups: ClassVar[bool] = False
 
     @abstractmethod
     def run(self, problem: Problem) -> Solution:

@@ -14,7 +14,7 @@ SCORES = torch.tensor([[1, 0, 0.9, 0.2], [0, 1, 0.3, 0.7], [0.9, 0.3, 1, 0], [0.
 class Says(Solver):
     """A solver that returns what it was told to."""
 
-    takes_tokens = True
+    takes_groups = True
 
     def __init__(self, **answer):
         self.answer = answer
@@ -79,18 +79,18 @@ def test_a_bound_is_proven_where_it_is_wanted(affinity):
     assert mx.solve(affinity, knows, bound=True).lower_bound == -5
 
 
-def test_tokens_say_who_may_not_be_together():
+def test_groups_say_who_may_not_be_together():
     pairs, cost = torch.tensor([[0, 0], [1, 2]]), torch.tensor([-1.0, 2.0])
-    tokens = torch.tensor([[0, 0, 1, 2, 2], [3, 8, 8, 3, 5]])
-    problem = Problem(pairs, cost, torch.arange(3), torch.full((2,), 0.5), tokens)
-    assert sorted(problem.apart().nonzero().tolist()) == [[0, 1], [0, 2], [1, 0], [2, 0]]
+    groups = torch.tensor([[0, 0, 1, 2, 2], [3, 8, 8, 3, 5]])
+    problem = Problem(pairs, cost, torch.arange(3), torch.full((2,), 0.5), groups)
+    assert sorted(problem.conflicts().nonzero().tolist()) == [[0, 1], [0, 2], [1, 0], [2, 0]]
     simple = problem.simplified()
-    assert simple.tokens.tolist() == [[0, 0, 1, 2], [0, 2, 2, 0]]
-    one_each = Problem(pairs, cost, torch.arange(3), torch.full((2,), 0.5), tokens[:, 1:3])
+    assert simple.groups.tolist() == [[0, 0, 1, 2], [0, 2, 2, 0]]
+    one_each = Problem(pairs, cost, torch.arange(3), torch.full((2,), 0.5), groups[:, 1:3])
     plain = one_each.simplified()
-    assert plain.tokens is None
+    assert plain.groups is None
     assert plain.view[0] == plain.view[1] != plain.view[2]
-    assert torch.equal(plain.apart(), one_each.apart())
+    assert torch.equal(plain.conflicts(), one_each.conflicts())
     assert plain.incidence.tolist()[0] == [0, 1, 2]
 
 

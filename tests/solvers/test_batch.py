@@ -3,11 +3,11 @@
 import torch
 
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.gradient.annealing import anneal, extreme_eigenvalues
+from mixer_torch.solvers.eigen import extreme_eigenvalues
 from mixer_torch.solvers.gradient.batch import ENTRIES_CPU, Batch, buckets
-from mixer_torch.solvers.gradient.descent import descend
+from mixer_torch.solvers.gradient.graduated_non_convexity import graduated_descent
+from mixer_torch.solvers.gradient.penalty_doubling import penalised_descent, spectral_start
 from mixer_torch.solvers.gradient.relaxation import distinctness_matrix
-from mixer_torch.solvers.gradient.stage import spectral_start
 from mixer_torch.solvers.problem import Problem, problem_of
 from mixer_torch.solvers.search.decomposition import decompose
 from mixer_torch.solvers.search.graph import Graph
@@ -31,10 +31,10 @@ def test_a_batch_holds_each_problem_and_zeros():
 
 
 def test_sets_of_views_are_apart_where_they_meet():
-    tokens = torch.tensor([[0, 0, 1, 2, 2], [7, 8, 8, 9, 7]])
+    groups = torch.tensor([[0, 0, 1, 2, 2], [7, 8, 8, 9, 7]])
     empty = torch.zeros(0)
     pairs = torch.zeros(2, 0, dtype=torch.int64)
-    problem = Problem(pairs, empty, torch.arange(3), empty, tokens)
+    problem = Problem(pairs, empty, torch.arange(3), empty, groups)
     expected = torch.tensor([[0.0, 1, 1], [1, 0, 0], [1, 0, 0]])
     assert torch.equal(Batch.of([problem]).distinctness[0], expected)
 
@@ -49,7 +49,9 @@ def test_a_batch_of_parts_is_what_the_graph_says():
         nodes = torch.from_numpy(parts.order[parts.start[i] : parts.start[i + 1]])
         m = len(nodes)
         assert torch.equal(batch.cost[i, :m, :m], problem.dense_cost()[nodes][:, nodes])
-        assert torch.equal(batch.distinctness[i, :m, :m], problem.apart()[nodes][:, nodes].float())
+        assert torch.equal(
+            batch.distinctness[i, :m, :m], problem.conflicts()[nodes][:, nodes].float()
+        )
         assert batch.mask[i].sum() == m
 
 
@@ -69,8 +71,8 @@ def test_padding_does_not_change_a_descent():
     both = Batch.of(some)
     alone = Batch.of(some[:1])
     m, columns = len(some[0]), 6
-    together = anneal(both, columns).assignment[0]
-    single = anneal(alone, columns).assignment[0]
+    together = graduated_descent(both, columns).assignment[0]
+    single = graduated_descent(alone, columns).assignment[0]
     torch.testing.assert_close(together[:m], single, atol=1e-6, rtol=0)
     assert not together[m:].any()
 
@@ -78,7 +80,7 @@ def test_padding_does_not_change_a_descent():
 def test_the_objective_never_rises_while_d_stays():
     batch = Batch.of(problems((4,), torch.float64))
     start = spectral_start(batch, batch.cost.shape[1], seed=0)
-    result = descend(batch, start, max_iterations=10)
+    result = penalised_descent(batch, start, max_iterations=10)
     level = result.history[:, 0]
     assert bool((level[1:] <= level[:-1] + 1e-9).all())
     assert level[-1] < level[0]

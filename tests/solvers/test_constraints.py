@@ -20,13 +20,13 @@ class Alone(Solver):
 
 
 class AloneWithTokens(Alone):
-    takes_tokens = True
+    takes_groups = True
 
 
 class Linked(Solver):
     """Links of all nodes that may be together, consistent or not."""
 
-    takes_tokens = True
+    takes_groups = True
 
     def run(self, problem):
         return Solution(mx.Status.INCONSISTENT, links=problem.pairs)
@@ -92,7 +92,7 @@ def test_no_constraint_leaves_the_problem_as_it_is():
 def test_a_cannot_link_is_a_view_that_two_share():
     affinity = affinity_of(np.random.default_rng(3), [0, 0, 1, 2])
     _, reduction = constrain(problem_of(affinity), affinity.view, cannot_link=[[0], [2]])
-    apart = reduction.problem.apart()
+    apart = reduction.problem.conflicts()
     assert sorted(apart.nonzero().tolist()) == [[0, 1], [0, 2], [1, 0], [2, 0]]
     assert not reduction.problem.dense_cost()[apart].any()
 
@@ -168,7 +168,7 @@ def test_a_batch_of_random_problems_with_random_constraints_is_honoured():
         assert (answer.labels[pairs[0]] != answer.labels[pairs[1]]).all()
 
 
-def test_pairs_of_groups_with_a_token_in_common_are_dropped_and_no_others():
+def test_pairs_of_groups_with_a_view_in_common_are_dropped_and_no_others():
     rng = np.random.default_rng(10)
     for _ in range(30):
         m = int(rng.integers(6, 12))
@@ -181,10 +181,10 @@ def test_pairs_of_groups_with_a_token_in_common_are_dropped_and_no_others():
         except ValueError:
             continue
         has = [set() for _ in range(len(reduction.problem))]
-        for i, group in enumerate(reduction.group.tolist()):
+        for i, group in enumerate(reduction.node.tolist()):
             own = {("view", int(view[i]))} if view[i] >= 0 else set()
             has[group] |= own | {("pair", k) for k in range(2) if i in cannot[:, k]}
-        ends = reduction.group[affinity.pairs]
+        ends = reduction.node[affinity.pairs]
         low, high = ends.min(0).values.tolist(), ends.max(0).values.tolist()
         free = {(a, b) for a, b in zip(low, high, strict=True) if a != b and not has[a] & has[b]}
         assert free == {(int(a), int(b)) for a, b in reduction.problem.pairs.T}

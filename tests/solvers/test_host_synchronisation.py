@@ -6,19 +6,22 @@ devices, that the path for devices gives what the CPU's gives, and how often the
 
 import pytest
 import torch
+from paper import evaluated
 from pretended_device import DEVICE, Generator, PretendedDevice
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers.gradient import annealing, descent, relaxation
+from mixer_torch.solvers import eigen
+from mixer_torch.solvers.gradient import graduated_non_convexity as graduated
+from mixer_torch.solvers.gradient import penalty_doubling, relaxation
 from mixer_torch.solvers.gradient.batch import Batch
 from mixer_torch.solvers.gradient.momentum import travel
 from mixer_torch.solvers.gradient.projection import project_rows
-from mixer_torch.solvers.gradient.stage import GradientStage
+from mixer_torch.solvers.gradient.relaxation import distinctness_matrix
 from mixer_torch.solvers.mixer import Mixer
 
 SHAPE = 3, 12, 5
-LARGE = annealing.SMALL + 2  # observations, for Lanczos' method
+LARGE = eigen.SMALL + 2  # observations, for Lanczos' method
 
 
 @pytest.fixture
@@ -35,7 +38,7 @@ def batch(problems=SHAPE[0], m=SHAPE[1], seed=0, device="cpu"):
     view = torch.arange(m) // 4
     mask = torch.arange(m) < m - torch.arange(problems)[:, None]
     real = mask[:, :, None] & mask[:, None, :]
-    apart = (relaxation.distinctness_matrix(view) * real).to(device)
+    apart = (distinctness_matrix(view) * real).to(device)
     cost = ((cost + cost.mT) * real).to(device) * (1 - apart)
     return Batch(cost - torch.diag_embed(cost.diagonal(dim1=1, dim2=2)), apart, mask.to(device))
 
@@ -115,7 +118,7 @@ def test_the_host_waits_for_no_step_of_annealing(device):
     for m, precision in ((12, "float32"), (12, "bfloat16"), (12, "tf32"), (LARGE, "float32")):
         there = batch(m=m, device=DEVICE)
         device.waits.clear()
-        result = annealing.anneal(there, SHAPE[2], precision=precision)
+        result = graduated.graduated_descent(there, SHAPE[2], precision=precision)
         assert device.waits == {"_linalg_eigh": 1}
         assert result.history.shape == (100, SHAPE[0])
         assert {x.device for x in vars(result).values()} == {DEVICE}
@@ -124,21 +127,25 @@ def test_the_host_waits_for_no_step_of_annealing(device):
 def test_the_host_waits_once_for_a_block_of_the_paper_s_schedule(device):
     there, start = batch(device=DEVICE), rows().to(DEVICE)
     device.waits.clear()
-    result = descent.descend(there, start, max_iterations=1000)
-    blocks, rest = divmod(len(result.history), descent.BLOCK)
+    result = penalty_doubling.penalised_descent(there, start, max_iterations=1000)
+    blocks, rest = divmod(len(result.history), penalty_doubling.BLOCK)
     assert rest == 0
     assert 1 < blocks < 100
     assert device.waits == {"_local_scalar_dense": blocks}
     device.waits.clear()
-    short = descent.descend(there, start, max_iterations=descent.BLOCK - 1)
+    short = penalty_doubling.penalised_descent(
+        there, start, max_iterations=penalty_doubling.BLOCK - 1
+    )
     assert not device.waits
-    torch.testing.assert_close(short.history.value, result.history.value[: descent.BLOCK - 1])
+    torch.testing.assert_close(
+        short.history.value, result.history.value[: penalty_doubling.BLOCK - 1]
+    )
 
 
 @pytest.mark.parametrize("m", [12, LARGE])
 def test_annealing_gives_what_the_cpu_gives(device, m):
-    expected = annealing.anneal(batch(m=m), SHAPE[2], iterations=20)
-    found = annealing.anneal(batch(m=m, device=DEVICE), SHAPE[2], iterations=20)
+    expected = graduated.graduated_descent(batch(m=m), SHAPE[2], iterations=20)
+    found = graduated.graduated_descent(batch(m=m, device=DEVICE), SHAPE[2], iterations=20)
     for name, value in vars(expected).items():
         torch.testing.assert_close(getattr(found, name).value, value, atol=2e-4, rtol=2e-4)
 
@@ -152,12 +159,12 @@ def test_what_the_user_chose_for_products_is_left_alone(chosen):
     try:
         products.fp32_precision = chosen
         for precision in ("float32", "tf32", "bfloat16"):
-            with annealing._allowed_tf32(precision, torch.device("cpu")):
+            with graduated._allowed_tf32(precision, torch.device("cpu")):
                 assert products.fp32_precision == chosen
-            with annealing._allowed_tf32(precision, torch.device("cuda")):
+            with graduated._allowed_tf32(precision, torch.device("cuda")):
                 inside.append(products.fp32_precision)
             assert products.fp32_precision == chosen
-            annealing.anneal(batch(), SHAPE[2], iterations=3, precision=precision)
+            graduated.graduated_descent(batch(), SHAPE[2], iterations=3, precision=precision)
     finally:
         products.fp32_precision = before
     assert inside == [chosen, "tf32", chosen]
@@ -165,8 +172,8 @@ def test_what_the_user_chose_for_products_is_left_alone(chosen):
 
 def test_the_paper_s_schedule_gives_what_the_cpu_gives(device):
     arguments = {"max_iterations": 20, "projection": "row_sum_at_most_one"}
-    expected = descent.descend(batch(), rows(), **arguments)
-    found = descent.descend(batch(device=DEVICE), rows().to(DEVICE), **arguments)
+    expected = penalty_doubling.penalised_descent(batch(), rows(), **arguments)
+    found = penalty_doubling.penalised_descent(batch(device=DEVICE), rows().to(DEVICE), **arguments)
     for name, value in vars(expected).items():
         torch.testing.assert_close(getattr(found, name).value, value, atol=1e-4, rtol=1e-4)
 
@@ -192,9 +199,9 @@ def test_the_relaxed_problem_makes_nobody_wait(device):
     there = batch(device=DEVICE)
     assignment, penalty = rows().to(DEVICE), rows(1, SHAPE[:1]).to(DEVICE)
     device.waits.clear()
-    matrices = there.cost, there.distinctness
-    assert relaxation.relaxed_objective(assignment, *matrices, penalty).shape == (3,)
-    assert relaxation.relaxed_gradient(assignment, *matrices, penalty).shape == SHAPE
+    point = evaluated(assignment, there.cost, there.distinctness)
+    assert point.objective(penalty).shape == (3,)
+    assert point.gradient(penalty).shape == SHAPE
     assert relaxation.is_binary(assignment).device == DEVICE
     assert not device.waits
 
@@ -227,10 +234,9 @@ def test_the_host_waits_as_often_for_many_problems_as_for_few(device, arguments)
 
 
 def test_the_two_schedules_after_one_another_look_once_where_to_go_on(device):
-    stage = GradientStage("anneal", "simplex", 120, 0, "float32")
     there = Batch(*(torch.cat([x, x]) for x in vars(batch(device=DEVICE)).values()))
     device.waits.clear()
-    stage.descend(there, 4)
+    graduated.GraduatedNonConvexity().descend(there, 4, max_iterations=120, seed=0)
     assert device.waits.pop("nonzero") == 1
     assert set(device.waits) <= {"_linalg_eigh", "_local_scalar_dense"}
 
@@ -238,24 +244,24 @@ def test_the_two_schedules_after_one_another_look_once_where_to_go_on(device):
 @pytest.mark.cuda
 def test_a_gpu_waits_for_no_step(monkeypatch):
     there, start = batch(device="cuda"), rows().to("cuda")
-    found = annealing.extreme_eigenvalues(there.cost)
-    monkeypatch.setattr(annealing, "extreme_eigenvalues", lambda cost, seed: found)
+    found = eigen.extreme_eigenvalues(there.cost)
+    monkeypatch.setattr(graduated, "extreme_eigenvalues", lambda cost, seed: found)
     torch.cuda.set_sync_debug_mode("error")
     try:
         with pytest.raises(RuntimeError, match="synchroniz"):
             start.sum().item()
         for precision in ("float32", "tf32", "bfloat16"):
-            annealing.anneal(there, SHAPE[2], precision=precision)
-        descent.descend(there, start, max_iterations=descent.BLOCK - 1)
+            graduated.graduated_descent(there, SHAPE[2], precision=precision)
+        penalty_doubling.penalised_descent(there, start, max_iterations=penalty_doubling.BLOCK - 1)
     finally:
         torch.cuda.set_sync_debug_mode("default")
 
 
 @pytest.mark.cuda
 def test_a_gpu_gives_what_the_cpu_gives():
-    expected = annealing.anneal(batch(), SHAPE[2], iterations=20)
-    found = annealing.anneal(batch(device="cuda"), SHAPE[2], iterations=20)
-    again = annealing.anneal(batch(device="cuda"), SHAPE[2], iterations=20)
+    expected = graduated.graduated_descent(batch(), SHAPE[2], iterations=20)
+    found = graduated.graduated_descent(batch(device="cuda"), SHAPE[2], iterations=20)
+    again = graduated.graduated_descent(batch(device="cuda"), SHAPE[2], iterations=20)
     for name in ("iterations", "penalty"):
         assert torch.equal(getattr(found, name).cpu(), getattr(expected, name))
     assert torch.equal(found.assignment, again.assignment)

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
+from mixer_torch.solvers.gradient.graduated_non_convexity import GraduatedNonConvexity
+from mixer_torch.solvers.gradient.penalty_doubling import PenaltyDoubling
 from mixer_torch.solvers.mixer import Mixer
 from mixer_torch.solvers.problem import Problem, is_distinct, objective_of, problem_of
 
@@ -54,7 +56,7 @@ def optimum(problem):
     labels = torch.tensor(list(partitions(len(problem))))
     a, b = problem.pairs
     together = (labels[:, a] == labels[:, b]).double()
-    apart = problem.apart().triu().nonzero().T
+    apart = problem.conflicts().triu().nonzero().T
     feasible = ~(labels[:, apart[0]] == labels[:, apart[1]]).any(1)
     return float((together @ problem.cost.double())[feasible].min())
 
@@ -159,7 +161,9 @@ def test_the_history_ends_at_the_objective_of_the_gradient_stage():
     for solver in (Mixer(refine=False, schedule="anneal"), Mixer(refine=False)):
         solution = solver.run(problem)
         history, objective = solution.stats["history"], objective_of(problem, solution.labels)
-        if solver.gradient.schedule == "penalty":  # F_d at a solution: less m d, in the cost's unit
+        if isinstance(
+            solver.gradient.schedule, PenaltyDoubling
+        ):  # F_d at a solution: less m d, in the cost's unit
             scale = float(problem.cost.abs().max())
             objective -= 0.5 * len(problem) * solution.stats["penalty"] * scale
         assert len(history) == solution.stats["iterations"]
@@ -269,6 +273,26 @@ def test_bfloat16_is_a_choice():
         assert torch.backends.cuda.matmul.allow_tf32 == before
         rough, fine = (objective_of(problem, s.labels) for s in (solution, plain))
         assert rough < 0.9 * fine
+
+
+def test_the_paper_and_schedules_by_name_are_what_the_objects_say():
+    problems = [random_problem(seed, 20, views=5) for seed in range(3)]
+    same = [
+        (Mixer.paper(seed=3), Mixer(refine=False, seed=3)),
+        (Mixer.paper(projection="simplex"), Mixer(refine=False, projection="simplex")),
+        (Mixer(schedule=PenaltyDoubling("simplex"), restarts=2),
+         Mixer(schedule="penalty", projection="simplex", restarts=2)),
+        (Mixer(schedule=GraduatedNonConvexity(precision="bfloat16")),
+         Mixer(precision="bfloat16")),
+    ]  # fmt: skip
+    for one, other in same:
+        assert one.gradient == other.gradient
+        for a, b in zip(one.run_batch(problems), other.run_batch(problems), strict=True):
+            assert torch.equal(a.labels, b.labels)
+    short = Mixer(refine=False, schedule=GraduatedNonConvexity(iterations=30), max_iterations=30)
+    assert short.run(problems[0]).stats["iterations"] == 30
+    with pytest.raises(ValueError, match="iterations: expected"):
+        GraduatedNonConvexity(iterations=0)
 
 
 def test_random_numbers_of_others_are_left_alone():

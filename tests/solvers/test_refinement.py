@@ -84,7 +84,7 @@ def test_same_seed_same_labels() -> None:
 
 def test_bad_starts_are_refused() -> None:
     graph = random_graph(0, 6, 2)
-    with pytest.raises(ValueError, match="share a token"):
+    with pytest.raises(ValueError, match="share a cannot-link group"):
         refine(graph, np.zeros(6, int))
     with pytest.raises(ValueError, match="labels: expected shape"):
         refine(graph, np.zeros(5, int))

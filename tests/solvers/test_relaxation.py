@@ -5,19 +5,19 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from paper import evaluated, frobenius_objective
 
 from mixer_torch.datasets.synthetic import synthetic
 from mixer_torch.solvers.gradient.relaxation import (
     distinctness_matrix,
     distinctness_penalty,
-    frobenius_objective,
+    graduated_objective,
+    graduated_step,
     is_binary,
     orthogonality_penalty,
     pair_cost,
     project_to_row_sum_at_most_one,
     project_to_simplex,
-    relaxed_gradient,
-    relaxed_objective,
     row_sum_penalty,
 )
 from mixer_torch.solvers.problem import objective_of, problem_of
@@ -57,8 +57,8 @@ def test_penalties_are_the_matrix_products_of_the_paper():
         for b in range(m):
             assert P_d[a, b] == float(a != b and view[a] == view[b])
     assert orthogonality_penalty(U) == pytest.approx(float(((U.T @ U) * P_o).sum()))
-    assert distinctness_penalty(U, P_d) == pytest.approx(float(((U @ U.T) * P_d).sum()))
-    assert pair_cost(U, A) == pytest.approx(float(((U @ U.T) * A).sum()))
+    assert distinctness_penalty(U, P_d @ U) == pytest.approx(float(((U @ U.T) * P_d).sum()))
+    assert pair_cost(U, A @ U) == pytest.approx(float(((U @ U.T) * A).sum()))
     # The paper writes <UᵀU − Uᵀ − U, 1> for square U: the sum of all entries.
     expected = (U.T @ U).sum() - 2 * U.sum()
     assert row_sum_penalty(U) == pytest.approx(float(expected))
@@ -70,13 +70,13 @@ def test_gradient_against_autograd_and_finite_differences(seed):
     P_d = distinctness_matrix(view, U.dtype)
     d = torch.tensor([0.3, 7.0], dtype=U.dtype)
     U.requires_grad_()
-    relaxed_objective(U, A, P_d, d).sum().backward()
-    gradient = relaxed_gradient(U.detach(), A, P_d, d)
+    evaluated(U, A, P_d).objective(d).sum().backward()
+    gradient = evaluated(U.detach(), A, P_d).gradient(d)
     torch.testing.assert_close(gradient, U.grad)
     step = 1e-6
     direction = torch.randn_like(U)
     with torch.no_grad():
-        plus, minus = (relaxed_objective(U + s * direction, A, P_d, d) for s in (step, -step))
+        plus, minus = (evaluated(U + s * direction, A, P_d).objective(d) for s in (step, -step))
     numeric = (plus - minus) / (2 * step)
     torch.testing.assert_close(numeric, (gradient * direction).sum((1, 2)), rtol=1e-6, atol=1e-6)
 
@@ -84,15 +84,14 @@ def test_gradient_against_autograd_and_finite_differences(seed):
 def test_a_batch_is_its_problems_one_by_one():
     U, A, view = random_problem(5, batch=(2, 3))
     P_d = distinctness_matrix(view, U.dtype)
-    together = relaxed_objective(U, A, P_d, 0.7)
-    gradient = relaxed_gradient(U, A, P_d, 0.7)
-    assert together.shape == (2, 3)
+    d = torch.full((2, 3), 0.7, dtype=U.dtype)
+    together = evaluated(U, A, P_d)
+    assert together.objective(d).shape == (2, 3)
     for i in range(2):
         for j in range(3):
-            one = relaxed_objective(U[i, j], A[i, j], P_d[i, j], 0.7)
-            torch.testing.assert_close(together[i, j], one)
-            alone = relaxed_gradient(U[i, j], A[i, j], P_d[i, j], 0.7)
-            torch.testing.assert_close(gradient[i, j], alone)
+            alone = evaluated(U[i, j], A[i, j], P_d[i, j])
+            torch.testing.assert_close(together.objective(d)[i, j], alone.objective(d[i, j]))
+            torch.testing.assert_close(together.gradient(d)[i, j], alone.gradient(d[i, j]))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -117,7 +116,7 @@ def test_frobenius_objective_is_a_constant_plus_the_pair_cost(seed):
         together = torch.kron(U @ U.T, torch.eye(l, dtype=torch.float64))
         explicit = (together - A).square().sum()
         torch.testing.assert_close(frobenius_objective(U, scores), explicit)
-        pairs = pair_cost(U, cost)
+        pairs = pair_cost(U, cost @ U)
         assert float(pairs) == pytest.approx(2 * objective_of(problem, labels))
         constant = explicit - pairs if constant is None else constant
         torch.testing.assert_close(explicit - pairs, constant)
@@ -135,7 +134,7 @@ def test_penalties_vanish_exactly_where_binary_assignments_are_feasible():
         feasible += ok
         assert orthogonality_penalty(U) == 0
         assert row_sum_penalty(U) == -6
-        assert (float(distinctness_penalty(U, P_d)) == 0) == ok
+        assert (float(distinctness_penalty(U, P_d @ U)) == 0) == ok
     assert 0 < feasible < 200
     twice = U.clone()
     twice[0] = 0.5
@@ -216,5 +215,23 @@ def test_objective_at_a_feasible_point_is_the_cost_less_the_constant():
     problem = problem_of(affinity)
     U = one_hot(truth, len(truth))
     P_d = distinctness_matrix(problem.view, torch.float64)
-    value = relaxed_objective(U, problem.dense_cost(), P_d, 3.0)
+    value = evaluated(U, problem.dense_cost(), P_d).objective(torch.tensor(3.0))
     assert float(value) == pytest.approx(2 * objective_of(problem, truth) - 3 * len(truth))
+
+
+def test_the_graduated_objective_and_its_step_are_those_of_the_paper_on_the_simplex():
+    """Row sums of 1 and d = c: F_d with its own weight w of distinctness, but for a constant."""
+    U, A, view = random_problem(7)
+    U = project_to_simplex(U)
+    P_d = distinctness_matrix(view, U.dtype)
+    c, step = (torch.tensor([[x]], dtype=U.dtype) for x in (0.8, 0.01))
+    w, m = 1.7, torch.tensor([len(U)])
+    quadratic = A + w * P_d
+    U.requires_grad_()
+    form, square = (U * (quadratic @ U)).sum().view(1, 1), U.square().sum().view(1, 1)
+    value = graduated_objective(form, square, m, c)
+    expected = evaluated(U, quadratic, 0 * P_d).objective(c[0, 0]) + c * len(U)
+    torch.testing.assert_close(value, expected)
+    value.backward()
+    hold, back = graduated_step(step, c)
+    torch.testing.assert_close(hold * U + back * (quadratic @ U), U.detach() - step / 2 * U.grad)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from mixer_torch.solvers.gradient.annealing import extreme_eigenvalues
+from mixer_torch.solvers.eigen import extreme_eigenvalues
 from mixer_torch.train.clustering import Relaxation, association_loss
 
 

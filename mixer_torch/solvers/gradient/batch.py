@@ -15,9 +15,14 @@ from mixer_torch.solvers.problem import Problem
 from mixer_torch.solvers.search.decomposition import Parts
 from mixer_torch.solvers.search.graph import Graph, share_group
 
-ENTRIES_CPU = 2**15 - 1  # of a batch: torch splits larger elementwise kernels among threads
-LARGEST_CPU = 180  # observations of a problem up to which one thread is best
-ENTRIES_GPU = 2**24  # what keeps the device busy
+# Entries of a batch's cost matrices. On a CPU, torch splits elementwise kernels of 2^15 entries and
+# more among threads (its GRAIN_SIZE), which small ones only wait for; on a GPU, as many as keep the
+# device busy.
+ENTRIES_CPU = 2**15 - 1
+ENTRIES_GPU = 2**24
+# Observations of a problem up to which one thread is best, as timed on a CPU of two cores.
+LARGEST_CPU = 180
+SPREAD, SLACK = 0.75, 8  # sizes in a batch: at least so large a share of the largest, less some
 
 
 @dataclass(frozen=True)
@@ -55,13 +60,13 @@ class Batch:
         """The batch of some parts of a graph, of the dtype and on the device of a tensor."""
         size = np.diff(parts.start)[list(chosen)]
         m, dtype = int(size.max()), str(like.dtype).removeprefix("torch.")
-        cost, apart = np.zeros((2, len(size), m, m), dtype)
+        cost, conflict = np.zeros((2, len(size), m, m), dtype)
         _fill(
             graph.start, graph.neighbour, graph.cost, graph.group_start, graph.group,
-            parts.order, parts.start, np.array(chosen), cost, apart,
+            parts.order, parts.start, np.array(chosen), cost, conflict,
         )  # fmt: skip
         mask = torch.arange(m) < torch.from_numpy(size)[:, None]
-        arrays = torch.from_numpy(cost), torch.from_numpy(apart), mask
+        arrays = torch.from_numpy(cost), torch.from_numpy(conflict), mask
         return cls(*(array.to(like.device, non_blocking=True) for array in arrays))
 
     def __len__(self) -> int:
@@ -110,7 +115,7 @@ def buckets(sizes: Sequence[int], device: torch.device) -> Iterator[list[int]]:
         if bucket:
             largest = sizes[bucket[0]]
             full = (len(bucket) + 1) * largest**2 > entries
-            if full or sizes[i] < 0.75 * largest - 8:
+            if full or sizes[i] < SPREAD * largest - SLACK:
                 yield bucket
                 bucket = []
         bucket.append(i)
@@ -120,21 +125,21 @@ def buckets(sizes: Sequence[int], device: torch.device) -> Iterator[list[int]]:
 
 def _distinctness(problems: Sequence[Problem], mask: Tensor, like: Tensor) -> Tensor:
     m = mask.shape[1]
-    if all(problem.tokens is None for problem in problems):
+    if all(problem.groups is None for problem in problems):
         view = torch.full(mask.shape, -1, device=like.device)
         view[mask] = torch.cat([problem.view for problem in problems])
-        apart = (view[:, :, None] == view[:, None, :]) & mask[:, :, None]
-        apart.diagonal(dim1=1, dim2=2).fill_(False)
-        return apart.to(like.dtype)
-    apart = like.new_zeros(len(problems), m, m)
-    for matrix, problem in zip(apart, problems, strict=True):
-        matrix[: len(problem), : len(problem)] = problem.apart()
-    return apart
+        conflict = (view[:, :, None] == view[:, None, :]) & mask[:, :, None]
+        conflict.diagonal(dim1=1, dim2=2).fill_(False)
+        return conflict.to(like.dtype)
+    conflict = like.new_zeros(len(problems), m, m)
+    for matrix, problem in zip(conflict, problems, strict=True):
+        matrix[: len(problem), : len(problem)] = problem.conflicts()
+    return conflict
 
 
 @compiled
 def _fill(  # type: ignore[no-untyped-def]
-    start, neighbour, cost, group_start, group, order, part_start, chosen, dense, apart
+    start, neighbour, cost, group_start, group, order, part_start, chosen, dense, conflict
 ):
     index = np.full(len(start) - 1, -1, np.int64)
     for b in range(len(chosen)):
@@ -148,6 +153,6 @@ def _fill(  # type: ignore[no-untyped-def]
                     dense[b, i, index[neighbour[e]]] = cost[e]
             for j in range(i):
                 if share_group(group_start, group, a, nodes[j]):
-                    apart[b, i, j] = apart[b, j, i] = 1
+                    conflict[b, i, j] = conflict[b, j, i] = 1
         for a in nodes:
             index[a] = -1

@@ -12,7 +12,7 @@ from torch import Tensor
 from mixer_torch.solvers.compiled import compiled, vectorised
 from mixer_torch.solvers.gradient.projection import project_row, project_rows
 
-MOMENTUM = 0.5
+MOMENTUM = 0.5  # with steps of 2 / L; set by hand together with them
 
 
 def travel(

@@ -21,8 +21,9 @@ def project_rows(
 ) -> Float[Tensor, "B m k"]:
     """Rows that are kept onto the simplex, or where it is said onto row sums <= 1; others to 0.
 
-    The same as the functions of :mod:`mixer_torch.solvers.gradient.relaxation`, for the inner loop: on the
-    CPU it is compiled, and may overwrite ``rows``.
+    Elsewhere than on the CPU this calls the projections of
+    :mod:`mixer_torch.solvers.gradient.relaxation`. On the CPU a compiled loop computes the same in
+    less time, and may overwrite ``rows``.
     """
     if at_most is None:
         at_most = torch.zeros_like(keep[:, 0])

@@ -20,6 +20,8 @@ does not on a GPU.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -34,10 +36,10 @@ def distinctness_matrix(
 
 
 def pair_cost(
-    assignment: Float[Tensor, "*batch m k"], cost: Float[Tensor, "*batch m m"]
+    assignment: Float[Tensor, "*batch m k"], cost_product: Float[Tensor, "*batch m k"]
 ) -> Float[Tensor, "*batch"]:
-    """<U Uᵀ, Ā>: for binary U, twice the sum of the cost over the pairs inside clusters."""
-    return (assignment * (cost @ assignment)).sum((-2, -1))
+    """<U Uᵀ, Ā> from U and Ā U: for binary U, twice the cost of the pairs inside clusters."""
+    return (assignment * cost_product).sum((-2, -1))
 
 
 def orthogonality_penalty(assignment: Float[Tensor, "*batch m k"]) -> Float[Tensor, "*batch"]:
@@ -46,59 +48,92 @@ def orthogonality_penalty(assignment: Float[Tensor, "*batch m k"]) -> Float[Tens
 
 
 def distinctness_penalty(
-    assignment: Float[Tensor, "*batch m k"], distinctness: Float[Tensor, "*batch m m"]
+    assignment: Float[Tensor, "*batch m k"], distinctness_product: Float[Tensor, "*batch m k"]
 ) -> Float[Tensor, "*batch"]:
-    """<U Uᵀ, P_d>: 0 for U >= 0 iff observations that must differ have no column in common."""
-    return pair_cost(assignment, distinctness)
+    """<U Uᵀ, P_d> from U and P_d U: 0 for U >= 0 iff what must differ shares no column."""
+    return (assignment * distinctness_product).sum((-2, -1))
 
 
 def row_sum_penalty(assignment: Float[Tensor, "*batch m k"]) -> Float[Tensor, "*batch"]:
     """<Uᵀ U − Uᵀ − U, 1> = ‖U 1 − 1‖² − m: least, which is −m, iff all row sums are 1."""
     total = assignment.sum(-1)
-    return (total.square() - 2 * total).sum(-1)
+    return total.square().sum(-1) - 2 * total.sum(-1)
 
 
-def relaxed_objective(
-    assignment: Float[Tensor, "*batch m k"],
-    cost: Float[Tensor, "*batch m m"],
-    distinctness: Float[Tensor, "*batch m m"],
-    penalty: float | Float[Tensor, "*batch"],
-) -> Float[Tensor, "*batch"]:
-    """F_d(U), the objective of eq. (4), with d = ``penalty``."""
-    return pair_cost(assignment, cost) + penalty * (
-        orthogonality_penalty(assignment)
-        + distinctness_penalty(assignment, distinctness)
-        + row_sum_penalty(assignment)
-    )
-
-
-def relaxed_gradient(
-    assignment: Float[Tensor, "*batch m k"],
-    cost: Float[Tensor, "*batch m m"],
-    distinctness: Float[Tensor, "*batch m m"],
-    penalty: float | Float[Tensor, "*batch"],
-) -> Float[Tensor, "*batch m k"]:
-    """∇F_d(U) = 2 Ā U + d ( 2 (r 1ᵀ − U) + 2 P_d U + 2 (r − 1) 1ᵀ ) with r = U 1."""
-    total = assignment.sum(-1, keepdim=True)
-    violation = 2 * total - 1 - assignment + distinctness @ assignment
-    weight = torch.as_tensor(penalty, dtype=assignment.dtype, device=assignment.device)
-    return 2 * (cost @ assignment) + 2 * weight[..., None, None] * violation
-
-
-def frobenius_objective(
-    assignment: Float[Tensor, "*batch m k"], scores: Float[Tensor, "*batch l m m"]
-) -> Float[Tensor, "*batch"]:
-    """‖U Uᵀ ⊗ I_l − A‖²_F, the objective of eq. (1), by the definition.
-
-    The Kronecker matrix A is diagonal in each block, so the norm is a sum over modalities and
-    pairs, Σ_k ‖U Uᵀ − S_k‖²_F; what is off those diagonals is 0 on both sides.
+@dataclass(frozen=True)
+class Evaluated:
+    """U, and what F_d and its gradient need to know of it, whatever d is.
 
     Args:
         assignment: U.
-        scores: S_k for each modality k.
+        cost_product: Ā U.
+        distinctness_product: P_d U.
+        pair_cost: <U Uᵀ, Ā>.
+        violation: <Uᵀ U, P_o> + <U Uᵀ, P_d>, 0 iff columns are orthogonal and views distinct.
+        row_sum: <Uᵀ U − Uᵀ − U, 1>, −m iff row sums are 1.
     """
-    together = assignment @ assignment.mT
-    return (together[..., None, :, :] - scores).square().sum((-3, -2, -1))
+
+    assignment: Float[Tensor, "*batch m k"]
+    cost_product: Float[Tensor, "*batch m k"]
+    distinctness_product: Float[Tensor, "*batch m k"]
+    pair_cost: Float[Tensor, "*batch"]
+    violation: Float[Tensor, "*batch"]
+    row_sum: Float[Tensor, "*batch"]
+
+    def objective(self, penalty: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+        """F_d(U), the objective of eq. (4), with d = ``penalty``."""
+        return self.pair_cost + penalty * (self.violation + self.row_sum)
+
+    def gradient(self, penalty: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch m k"]:
+        """∇F_d(U) = 2 Ā U + d ( 2 (r 1ᵀ − U) + 2 P_d U + 2 (r − 1) 1ᵀ ) with r = U 1."""
+        total = self.assignment.sum(-1, keepdim=True)
+        violation = 2 * total - 1 - self.assignment + self.distinctness_product
+        return 2 * (self.cost_product + penalty[..., None, None] * violation)
+
+
+def evaluate(
+    assignment: Float[Tensor, "*batch m k"], matrices: Float[Tensor, "*batch 2*m m"]
+) -> Evaluated:
+    """What F_d needs to know of U; ``matrices`` is Ā over P_d, so that one product serves both."""
+    cost_product, distinctness_product = (matrices @ assignment).chunk(2, -2)
+    orthogonality = orthogonality_penalty(assignment)
+    return Evaluated(
+        assignment,
+        cost_product,
+        distinctness_product,
+        pair_cost(assignment, cost_product),
+        orthogonality + distinctness_penalty(assignment, distinctness_product),
+        row_sum_penalty(assignment),
+    )
+
+
+def graduated_objective(
+    form: Float[Tensor, "T B"],
+    square: Float[Tensor, "T B"],
+    observations: Int[Tensor, " B"],
+    curvature: Float[Tensor, "T 1"],
+) -> Float[Tensor, "T B"]:
+    """<U Uᵀ, Ā + w P_d> + c (m − ‖U‖²): F_d on the simplex, each penalty with its own weight.
+
+    With row sums 1 the orthogonality penalty is m − ‖U‖², and the penalty of row sums is constant.
+
+    Args:
+        form: <U Uᵀ, Ā + w P_d> at each step, for each problem.
+        square: ‖U‖², likewise.
+        observations: m of each problem.
+        curvature: c at each step, the weight of the orthogonality penalty.
+    """
+    return form + curvature * (observations - square)
+
+
+def graduated_step(
+    step_size: Float[Tensor, "T B"], curvature: Float[Tensor, "T 1"]
+) -> tuple[Float[Tensor, "T B"], Float[Tensor, "T B"]]:
+    """(h, b) of a step down the graduated objective, which leads to h U + b (Ā + w P_d) U.
+
+    Half of the gradient is (Ā + w P_d) U − c U, so h = 1 + c ``step_size``, b = −``step_size``.
+    """
+    return 1 + curvature * step_size, -step_size
 
 
 def project_to_simplex(rows: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch k"]:

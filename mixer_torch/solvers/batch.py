@@ -1,8 +1,7 @@
-"""Several problems side by side, solved part by part from two starts."""
+"""Several problems as one graph, and what is done to all of their parts at once."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,34 +16,26 @@ from torch import Tensor
 from mixer_torch.association import Status
 from mixer_torch.solvers.gradient.batch import LARGEST_CPU, Batch, buckets
 from mixer_torch.solvers.gradient.stage import GradientStage, Relaxed
-from mixer_torch.solvers.parsimony import without_idle_links
 from mixer_torch.solvers.problem import Problem, Solution
 from mixer_torch.solvers.refinement import Effort, refine_parts, summary
-from mixer_torch.solvers.search.decomposition import Parts, cut_along, decompose
+from mixer_torch.solvers.search.decomposition import Parts, decompose
 from mixer_torch.solvers.search.exhaustive import LARGEST as ENUMERABLE
 from mixer_torch.solvers.search.graph import Graph
-from mixer_torch.solvers.search.greedy import greedy
 
-LARGEST_GPU = 2000  # nodes of a part for the gradient stage; on a CPU, those for one thread
-SHARES = 4  # of the work for each thread, since some take longer than others
-CLUSTERS = 1.5  # columns of U for each cluster that greedy contraction finds
+# Nodes of a part up to which it goes through the gradient stage on a GPU, so that dense matrices
+# take little of the memory; on a CPU it is ``LARGEST_CPU``. Set by hand.
+LARGEST_GPU = 2000
+# Shares of the work for each thread, by convention, since some take longer than others.
+SHARES = 4
+# Columns of U for each cluster that greedy contraction finds, and some more, which counts in small
+# parts: the gradient stage may find more clusters than greedy contraction does. Set by hand.
+CLUSTERS, MORE_COLUMNS = 1.5, 2
 A = TypeVar("A")
 B = TypeVar("B")
 
 
-class Clock:
-    """Time that is left of a limit."""
-
-    def __init__(self, limit: float | None) -> None:
-        self.end = math.inf if limit is None else time.perf_counter() + limit
-
-    def is_over(self) -> bool:
-        """Whether there is none left."""
-        return time.perf_counter() >= self.end
-
-
 @dataclass(frozen=True)
-class Joint:
+class ProblemBatch:
     """Problems as one graph without edges between them, and its parts.
 
     Args:
@@ -60,8 +51,8 @@ class Joint:
     like: Tensor
 
     @classmethod
-    def of(cls, problems: Sequence[Problem]) -> Joint:
-        """Side by side, with tokens that differ from one problem to the other."""
+    def of(cls, problems: Sequence[Problem]) -> ProblemBatch:
+        """One graph of problems of one dtype on one device; no two share a cannot-link group."""
         start = np.cumsum([0] + [len(problem) for problem in problems])
         graph = Graph.from_problems(problems)
         return cls(graph, decompose(graph), start, problems[0].cost)
@@ -71,43 +62,37 @@ class Joint:
         """(n,) the problem of each node."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
-    def refine(
-        self,
-        label: np.ndarray,
-        restarts: int,
-        seed: int,
-        clock: Clock,
-        progress: Callable[[float], None],
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
+    def refine(self, label: np.ndarray, effort: Effort) -> tuple[np.ndarray, np.ndarray, bool]:
         """Discrete refinement of all problems, on as many threads as torch uses.
 
         A problem's labels depend neither on its neighbours nor on the threads.
 
         Returns:
-            Better labels, (parts, STATE_SIZE) the search state of each part, and whether time
-            ran out.
+            Better labels, (parts, STATE_SIZE) the state in which the search of each part ended, and
+            whether time ran out.
         """
         threads = torch.get_num_threads()
         borders = self._shares(SHARES * threads if threads > 1 else 1)
-        told = np.zeros(len(borders) - 1)
+        done = np.zeros(len(borders) - 1)  # the fraction of each share
         lock = Lock()
         key = np.arange(len(self.graph)) - self.start[self.owner]
 
         def search(share: int) -> tuple[np.ndarray, np.ndarray, bool]:
             def tell(fraction: float) -> None:
                 with lock:
-                    told[share] = fraction
-                    progress(float(told @ np.diff(borders)) / len(self.graph))
+                    done[share] = fraction
+                    if effort.progress is not None:
+                        effort.progress(float(done @ np.diff(borders)) / len(self.graph))
 
             first, end = borders[share : share + 2]
             graph, parts = self._between(first, end)
-            effort = Effort(restarts, seed, clock.end, tell)
-            return refine_parts(graph, parts, label[first:end], effort, key[first:end])
+            own = effort._replace(progress=tell)
+            return refine_parts(graph, parts, label[first:end], own, key[first:end])
 
-        found = list(_mapped(search, range(len(told)), threads))
+        found = list(_mapped(search, range(len(done)), threads))
         moved = [own + first for (own, _, _), first in zip(found, borders, strict=False)]
-        courses = np.concatenate([course for _, course, _ in found])
-        return np.concatenate(moved), courses, any(late for _, _, late in found)
+        states = np.concatenate([state for _, state, _ in found])
+        return np.concatenate(moved), states, any(late for _, _, late in found)
 
     def _shares(self, most: int) -> list[int]:
         """Nodes at which the problems are divided into shares of about equal size."""
@@ -142,20 +127,27 @@ class Joint:
         self,
         stage: GradientStage,
         label: np.ndarray,
-        clock: Clock,
+        deadline: float,
         progress: Callable[[float], None],
     ) -> dict[int, Relaxed]:
-        """What the gradient stage makes of each part that is neither trivial nor too large."""
+        """What the gradient stage makes of each part that is neither trivial nor too large.
+
+        Args:
+            stage: The gradient stage.
+            label: (n,) labels, whose number of clusters in a part says how many columns U needs.
+            deadline: By ``time.perf_counter()``, after which no further batch begins.
+            progress: Told the fraction that is done.
+        """
         size = np.diff(self.parts.start)
         largest = LARGEST_CPU if self.like.device.type == "cpu" else LARGEST_GPU
         which = np.flatnonzero((size > ENUMERABLE) & (size <= largest))
         first = np.unique(label, return_index=True)[1]
         clusters = np.bincount(self.parts.part[first], minlength=len(size))
-        columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + 2)
+        columns = np.minimum(size, np.ceil(CLUSTERS * clusters).astype(np.int64) + MORE_COLUMNS)
         found: dict[int, Relaxed] = {}
 
         def run(bucket: list[int]) -> dict[int, Relaxed]:
-            if clock.is_over():
+            if time.perf_counter() >= deadline:
                 return {}
             chosen = which[bucket]
             batch = Batch.of_parts(self.graph, self.parts, chosen.tolist(), self.like)
@@ -183,6 +175,30 @@ class Joint:
         win = self.objective(other) < self.objective(label)
         return np.where(win[self.parts.part], other + len(self.graph), label)
 
+    def solutions(
+        self,
+        label: np.ndarray,
+        relaxed: dict[int, Relaxed],
+        stages: dict[str, np.ndarray],
+        states: np.ndarray,
+        timed_out: bool,
+    ) -> list[Solution]:
+        """The answer to each problem, and what each stage made of its parts.
+
+        Args:
+            label: (n,) the answer.
+            relaxed: By part, what the gradient stage found.
+            stages: (n,) the labels at the end of each stage, by its name.
+            states: (parts, STATE_SIZE) the state in which the search of each part ended.
+            timed_out: Whether the time limit ended the search.
+        """
+        solutions = []
+        for b, stats in enumerate(_stats(self, relaxed, stages, states)):
+            own = torch.from_numpy(label[self.start[b] : self.start[b + 1]])
+            status = Status.CONVERGED if stats["binary_without_rounding"] else Status.ROUNDED
+            solutions.append(Solution(Status.TIME_LIMIT if timed_out else status, own, stats=stats))
+        return solutions
+
 
 def _mapped(function: Callable[[A], B], items: Iterable[A], threads: int) -> Iterator[B]:
     """The results in order, on so many threads where there is more than one item."""
@@ -194,65 +210,37 @@ def _mapped(function: Callable[[A], B], items: Iterable[A], threads: int) -> Ite
             yield from pool.map(function, items)
 
 
-def solve_side_by_side(
-    problems: Sequence[Problem],
-    stage: GradientStage,
-    restarts: int,
-    seed: int,
-    clock: Clock,
-    progress: Callable[[float], None],
-) -> list[Solution]:
-    """Problems of one dtype on one device: two starts for each part, restarts from the better.
-
-    One start is greedy contraction, the other is the gradient stage's answer. The result of each
-    part is never worse than either.
-    """
-    joint = Joint.of(problems)
-    contracted = cut_along(greedy(joint.graph), joint.parts)
-    found = joint.relax(stage, contracted, clock, lambda part: progress(0.3 * part))
-    relaxed = joint.labels(found, contracted)
-    label = joint.better(contracted, relaxed)
-    label, courses, timed_out = joint.refine(
-        label, restarts, seed, clock, lambda part: progress(0.3 + 0.7 * part)
-    )
-    label = without_idle_links(joint.graph, label)
-    progress(1.0)
-    stages = {"greedy": contracted, "gradient": relaxed, "refined": label}
-    solutions = []
-    for b, stats in enumerate(_stats(joint, found, stages, courses)):
-        own = torch.from_numpy(label[joint.start[b] : joint.start[b + 1]])
-        status = Status.CONVERGED if stats["binary_without_rounding"] else Status.ROUNDED
-        status = Status.TIME_LIMIT if timed_out else status
-        solutions.append(Solution(status, own, stats=stats))
-    return solutions
-
-
 def _stats(
-    joint: Joint, found: dict[int, Relaxed], stages: dict[str, np.ndarray], courses: np.ndarray
+    batch: ProblemBatch,
+    found: dict[int, Relaxed],
+    stages: dict[str, np.ndarray],
+    states: np.ndarray,
 ) -> list[dict[str, Any]]:
     """By problem: what the gradient stage and the search made of its parts, added up."""
-    home = joint.owner[joint.parts.order[joint.parts.start[:-1]]]
-    all_stats = _histories(joint, home, found)
-    course = np.zeros((len(all_stats), courses.shape[1]))
-    np.add.at(course, home, courses)
+    home = batch.owner[batch.parts.order[batch.parts.start[:-1]]]
+    all_stats = _histories(batch, home, found)
+    state = np.zeros((len(all_stats), states.shape[1]))
+    np.add.at(state, home, states)
     for name, labels in stages.items():
-        value = np.bincount(home, joint.objective(labels), len(all_stats))
+        value = np.bincount(home, batch.objective(labels), len(all_stats))
         for stats, own in zip(all_stats, value.tolist(), strict=True):
             stats[f"objective_{name}"] = own
-    for stats, own in zip(all_stats, course, strict=True):
+    for stats, own in zip(all_stats, state, strict=True):
         stats |= summary(own)
         stats["history"].append(stats["objective_refined"])
     return all_stats
 
 
-def _histories(joint: Joint, home: np.ndarray, found: dict[int, Relaxed]) -> list[dict[str, Any]]:
+def _histories(
+    batch: ProblemBatch, home: np.ndarray, found: dict[int, Relaxed]
+) -> list[dict[str, Any]]:
     """Statistics of the gradient stage by problem: of its parts, objectives added up."""
     stats: list[dict[str, Any]] = [
         {"iterations": 0, "binary_without_rounding": True, "penalty": 0.0, "parts": 0, "relaxed": 0}
-        for _ in range(len(joint.start) - 1)
+        for _ in range(len(batch.start) - 1)
     ]
     histories: list[list[np.ndarray]] = [[] for _ in stats]
-    for part in range(len(joint.parts)):
+    for part in range(len(batch.parts)):
         own = stats[home[part]]
         own["parts"] += 1
         if part in found:

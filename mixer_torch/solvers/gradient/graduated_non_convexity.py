@@ -4,26 +4,77 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from mixer_torch.solvers.gradient.batch import Batch, Descent
+from mixer_torch.solvers.eigen import extreme_eigenvalues
+from mixer_torch.solvers.gradient.batch import Batch, Descent, continued
 from mixer_torch.solvers.gradient.momentum import travel
+from mixer_torch.solvers.gradient.penalty_doubling import PenaltyDoubling
 from mixer_torch.solvers.gradient.projection import project_rows
+from mixer_torch.solvers.gradient.relaxation import graduated_objective, graduated_step
+from mixer_torch.solvers.gradient.rounding import binary_labels
+from mixer_torch.solvers.gradient.schedule import Schedule, choice
 
-RELAXATION = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot
+# All set by hand, on random problems like those of benchmarks/quality.py, whose column "gradient
+# stage" shows what they reach. c and w are relative to the least eigenvalue of Ā.
+STEP = 2.0  # steps of 2 / L: the momentum damps what a plain gradient would overshoot
 CURVATURE = (-0.5, 0.4, 1.5)  # c when the sweep starts, when it ends, and after the finish
 DISTINCTNESS = (0.1, 0.8, 2.0)  # w at the same times
 FINISH = 0.2  # share of the iterations that is spent on the finish
-LANCZOS_STEPS = 16
-SMALL = 128  # observations up to which all eigenvalues are found as fast as the extreme ones
+START_NOISE = 0.3  # added to the 1 / k of the start, before it is projected
+
+Precision = Literal["float32", "tf32", "bfloat16"]
 
 
-def anneal(
+@dataclass(frozen=True)
+class GraduatedNonConvexity(Schedule):
+    """A sweep of the problem from convex to concave (Blake and Zisserman 1987).
+
+    Problems that are not binary at its end, such as those in which nothing attracts, go on from
+    there by the schedule of the paper, on the simplex.
+
+    Args:
+        iterations: Steps of the sweep.
+        precision: Of the matrix products: "float32" for that of the costs (which may be float64),
+            "tf32" or "bfloat16".
+
+    Raises:
+        ValueError: An argument is out of range.
+    """
+
+    iterations: int = 100
+    precision: str = "float32"
+
+    def __post_init__(self) -> None:
+        choice("precision", self.precision, Precision)
+        if self.iterations < 1:
+            raise ValueError(f"iterations: expected at least 1, got {self.iterations}")
+
+    def descend(self, batch: Batch, columns: int, max_iterations: int, seed: int) -> Descent:
+        iterations = min(max_iterations, self.iterations)
+        result = graduated_descent(
+            batch, columns, iterations=iterations, seed=seed, precision=self.precision
+        )
+        left = max_iterations - iterations
+        if not left:
+            return result
+        open_ = (~binary_labels(result.assignment, batch)[1]).nonzero()[:, 0]
+        if not len(open_):
+            return result
+        rest = Batch(batch.cost[open_], batch.distinctness[open_], batch.mask[open_])
+        finish = PenaltyDoubling("simplex")
+        return continued(
+            result, open_, finish.descend_from(rest, result.assignment[open_], left, seed)
+        )
+
+
+def graduated_descent(
     batch: Batch,
     columns: int,
     *,
@@ -68,12 +119,12 @@ def anneal(
 
     with _allowed_tf32(precision, cost.device):
         start = _first(batch, columns, seed)
-        assignment, forms = travel(start, 1 + c * step, -step, batch.mask, product)
-    pair_cost, square = forms.unbind(1)
-    concave = c * (batch.mask.sum(1) - square)
+        assignment, forms = travel(start, *graduated_step(step, c), batch.mask, product)
+    form, square = forms.unbind(1)
+    objective = graduated_objective(form, square, batch.mask.sum(1), c)
     count = torch.full_like(scale, iterations, dtype=torch.int64)
     penalty = torch.full_like(scale, DISTINCTNESS[-1])
-    return Descent(assignment, count, penalty, (pair_cost + concave) * scale)
+    return Descent(assignment, count, penalty, objective * scale)
 
 
 def _first(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:
@@ -82,7 +133,7 @@ def _first(batch: Batch, columns: int, seed: int) -> Float[Tensor, "B m k"]:
     generator = torch.Generator(device=cost.device).manual_seed(seed)
     shape = cost.shape[1], columns
     noise = torch.rand(shape, generator=generator, dtype=cost.dtype, device=cost.device)
-    start = (1 / columns + 0.3 * noise).expand(len(batch), *shape).contiguous()
+    start = (1 / columns + START_NOISE * noise).expand(len(batch), *shape).contiguous()
     return project_rows(start, batch.mask)
 
 
@@ -97,35 +148,7 @@ def _steps(
     both = torch.tensor([curvature, weight], dtype=high.dtype)
     c, w = both.to(high.device, non_blocking=True)[..., None]
     bound = torch.maximum((high + w * crowd - c).abs(), 1 + w + c)
-    return RELAXATION / bound
-
-
-def extreme_eigenvalues(
-    matrix: Float[Tensor, "B m m"], seed: int = 0
-) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-    """Least and largest eigenvalue of symmetric matrices.
-
-    Exact for small ones; of large ones by a few steps of Lanczos' method, good to about a hundredth
-    of the spectrum's width, from the inside.
-    """
-    B, m, _ = matrix.shape
-    if m <= SMALL:
-        spectrum = torch.linalg.eigvalsh(matrix)
-        return spectrum[:, 0], spectrum[:, -1]
-    steps = min(LANCZOS_STEPS, m)
-    generator = torch.Generator(device=matrix.device).manual_seed(seed)
-    first = torch.randn(m, generator=generator, dtype=matrix.dtype, device=matrix.device)
-    basis = matrix.new_zeros(B, steps, m)
-    basis[:, 0] = first / first.norm()
-    for i in range(steps - 1):
-        vector = (matrix @ basis[:, i, :, None])[..., 0]
-        for _ in range(2):  # once more, for what rounding left of the first time
-            inside = basis[:, : i + 1]
-            vector = vector - (inside.mT @ (inside @ vector[..., None]))[..., 0]
-        length = vector.norm(dim=1, keepdim=True)
-        basis[:, i + 1] = torch.where(length > 1e-6, vector / length.clamp(min=1e-6), 0)
-    ritz = torch.linalg.eigvalsh(basis @ matrix @ basis.mT)
-    return ritz[:, 0], ritz[:, -1]
+    return STEP / bound
 
 
 def _sweep(iterations: int) -> tuple[list[float], list[float]]:
