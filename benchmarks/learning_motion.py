@@ -1,13 +1,11 @@
 """Are the frames between worth learning from? PETS 2009 S2.L1, frames 160-780, every 20th.
 
 Motion is the distance between where both would be halfway in time, from the velocity that the
-frames between tell (MOTChallenge's window); the tracklet is what those make that are tracked from
-frame to frame (mixer_torch.scorers.Tracklet; the tracker's defaults were fitted on these sequences
-and three others). Each set of modalities, for pairs of up to 20, 40 and 60 frames (one, two and
-three views of the window), is trained on PETS frames 1-150 and TUD-Stadtmitte, whose table of truth
-tells where its ground is, in two ways: calibrators whose log odds add up, and the mean of eight
-networks over them, each blind to some persons. The embedding was trained on other persons yet
-(configs/train/embedding.yaml, to be run first). It needs MIXER_DATA.
+frames between tell (MOTChallenge's window). Each set of modalities, for pairs of up to 20, 40 and
+60 frames (one, two and three views of the window), is trained on PETS frames 1-150 and
+TUD-Stadtmitte, whose table of truth tells where its ground is, in two ways: calibrators whose log
+odds add up, and the mean of eight networks over them, each blind to some persons. The embedding was
+trained on other persons yet (configs/train/embedding.yaml, to be run first). It needs MIXER_DATA.
 
 "Held out" is measured in training alone: the persons of each sequence in four folds, each pair
 scored by a model that has seen neither person's fold. F1 is that of all phases: of PETS the frames
@@ -20,11 +18,9 @@ then 2, 73, 144, ..., two or three views each. The rule that chooses by it, in t
 2. Among those, the modalities and the way: the least Cllr, in the mean over both sequences. It is
    that of the same pairs for all of them, and varies less than F1, which hangs on few decisions.
 
-It chooses pairs of up to 40 frames (F1 0.762, against 0.726 and 0.760 for up to 20 and 60) and the
-mean of eight networks over all but overlap and SIFT (Cllr 0.237; 0.240 without the embedding, 0.286
-without tracklets). The rule was written down before any of these figures was known, and chose
-before any of these models was tried on the window. Tracklets were added when what it had chosen
-without them was known to have 0.765 there, and before any figure of theirs.
+The rule was written down before any of these figures was known, and chose before any of these
+models was tried on the window. Two more sets, with the tracklets that an earlier tracker made of
+all frames, were tried later; they went with that tracker, and docs/results.md has their figures.
 
 Then "window" is the later frames: all persons, and those who are not in frames 1-150; networks of
 five seeds. With --training_only, the window is not looked at; with --without_ground, the ground of
@@ -55,7 +51,7 @@ from mixer_torch.benchmarks.results import grouped, mean, spread
 from mixer_torch.datasets import Dataset, MOTChallenge
 from mixer_torch.fusion import LogOddsFusion
 from mixer_torch.metrics.calibration import cllr
-from mixer_torch.scorers import SIFT, Color, Embedding, IoU, Motion, Proximity, Tracklet
+from mixer_torch.scorers import SIFT, Color, Embedding, IoU, Proximity
 from mixer_torch.scorers.likelihood_ratio import log_ratio_of
 from mixer_torch.scorers.pair_network import (
     MAX_LOG_RATIO,
@@ -63,8 +59,6 @@ from mixer_torch.scorers.pair_network import (
     EvidenceNetwork,
     as_evidence,
 )
-from mixer_torch.tracking import Tracker
-from mixer_torch.tracking.tracked import Tracked
 from mixer_torch.train.data import Rows
 from mixer_torch.train.evaluation import solved
 from mixer_torch.train.pairs import parts_of_objects
@@ -81,8 +75,6 @@ SETS = (
     ("motion", "colour"),
     ("distance", "motion", "embedding"),
     ("distance", "motion", "colour", "embedding"),
-    ("tracklet", "distance", "motion", "colour"),
-    ("tracklet", "distance", "motion", "colour", "embedding"),
 )
 FOLDS = (
     ((9, 12), (13, 16), (11, 19), (15, 17)),  # PETS, frames 1-150
@@ -105,7 +97,6 @@ def scorer(name, embedding):
         "colour": lambda: Color("histogram"),
         "SIFT": SIFT,
         "embedding": lambda: Embedding(embedding, mirror=True, centre=True),
-        "tracklet": Tracklet,
     }[name]()
 
 
@@ -122,9 +113,6 @@ class Candidate:
     def table(self, path, **arguments):
         half_width = 1.0 if "motion" in self.names and (self.ground or path == PETS) else 0.0
         sequence: Dataset = MOTChallenge(path, window=half_width, **arguments)
-        if "tracklet" in self.names:
-            video = MOTChallenge(path, pixels=False, truth=False)
-            sequence = Tracked(sequence, video, Tracker([Motion()], [], gaps=()))
         scorers = [scorer(name, self.embedding) for name in self.names]
         return pair_table(sequence, scorers, AtGaps(SPARSE[: self.gaps]), self.cache)
 

@@ -25,6 +25,27 @@ def left_top_size(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]
     return np.concatenate([box[:, :2], box[:, 2:] - box[:, :2]], 1)
 
 
+def centred(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 4"]:
+    """Middle, width and height (cx cy w h) of boxes x1 y1 x2 y2."""
+    return np.concatenate([(box[:, :2] + box[:, 2:]) / 2, box[:, 2:] - box[:, :2]], 1)
+
+
+def sizes(centred_box: Float64[np.ndarray, "... 4"]) -> Float64[np.ndarray, ...]:
+    """The square root of the area of boxes cx cy w h: the length that a box is measured by."""
+    return np.sqrt(centred_box[..., 2] * centred_box[..., 3])
+
+
+def centred_iou(
+    a: Float64[np.ndarray, "... 4"], b: Float64[np.ndarray, "... 4"], enlarged: float = 1.0
+) -> Float64[np.ndarray, ...]:
+    """Intersection over union of boxes cx cy w h with the one in their place, sides enlarged."""
+    half_a, half_b = a[..., 2:] * (enlarged / 2), b[..., 2:] * (enlarged / 2)
+    low = np.maximum(a[..., :2] - half_a, b[..., :2] - half_b)
+    high = np.minimum(a[..., :2] + half_a, b[..., :2] + half_b)
+    common = np.clip(high - low, 0, None).prod(-1)
+    return common / (4 * (half_a.prod(-1) + half_b.prod(-1)) - common)
+
+
 def foot_points(box: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, "n 2"]:
     """Where each box meets the ground: the middle of its lower edge."""
     return np.column_stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]])

@@ -42,7 +42,7 @@ class Kind:
 KINDS = (
     Kind("scorers", Scorer, ("mixer_torch.scoring", "mixer_torch.scorers")),
     Kind("solvers", Solver, ("mixer_torch.solvers",)),
-    Kind("datasets", Dataset, ("mixer_torch.datasets", "mixer_torch.tracking.tracked")),
+    Kind("datasets", Dataset, ("mixer_torch.datasets",)),
     Kind("calibrators", Calibrator, ("mixer_torch.scoring", "mixer_torch.scorers")),
     Kind("fusions", Fusion, ("mixer_torch.fusion",)),
     Kind("pairs", PairSelector, ("mixer_torch.pairs",)),

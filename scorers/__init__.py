@@ -12,12 +12,10 @@ from mixer_torch.scorers.curves import Logistic, PiecewiseLinear
 from mixer_torch.scorers.embedding import Embedding, EmbeddingNetwork
 from mixer_torch.scorers.iou import IoU
 from mixer_torch.scorers.likelihood_ratio import LikelihoodRatio
-from mixer_torch.scorers.motion import Motion
 from mixer_torch.scorers.pair_network import EvidenceEnsemble, EvidenceNetwork, PairNetwork
 from mixer_torch.scorers.proximity import Proximity
 from mixer_torch.scorers.sift import SIFT
 from mixer_torch.scorers.sift_at_points import SIFTAtPoints
-from mixer_torch.scorers.tracklet import Tracklet
 
 __all__ = [
     "SIFT",
@@ -33,11 +31,9 @@ __all__ = [
     "LikelihoodRatio",
     "Logistic",
     "MonotoneSpline",
-    "Motion",
     "PairNetwork",
     "PiecewiseLinear",
     "Platt",
     "Proximity",
     "SIFTAtPoints",
-    "Tracklet",
 ]

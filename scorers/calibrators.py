@@ -271,7 +271,7 @@ def _path_of(kind: type) -> str:
 
 
 def _subclasses(kind: type) -> list[Any]:
-    children = kind.__subclasses__()
+    children: list[type] = kind.__subclasses__()
     return [*children, *(other for child in children for other in _subclasses(child))]
 
 

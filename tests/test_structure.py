@@ -19,7 +19,6 @@ LONG_FUNCTIONS_TO_MEND: set[str] = set()
 LONG_FILES_TO_MEND: set[str] = set()
 CONSTRUCTORS_TO_MEND = {
     "mixer_torch/datasets/parking_lot.py:ParkingLot",
-    "mixer_torch/tracking/tracker.py:Tracker",
 }
 
 

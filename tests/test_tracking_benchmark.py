@@ -33,12 +33,16 @@ def one_for_all(observations, frames):
     return Tracks.from_labels(observations, torch.arange(len(observations))), None
 
 
-def test_rows(folder, monkeypatch):
-    monkeypatch.setattr(tracking, "trackers", lambda: {"one for all": one_for_all})
-    rows = tracking.run([folder])
-    assert [(row["tracker"], row["sequence"]) for row in rows] == [
-        ("one for all", "TWO"), ("one for all", "combined"),
-        ("oracle", "TWO"), ("oracle", "combined"),
+def test_rows(folder, monkeypatch, tmp_path):
+    monkeypatch.setattr(tracking, "OURS", {})
+    monkeypatch.setattr(tracking, "held_out", lambda families, out: dict.fromkeys(families))
+    monkeypatch.setattr(
+        tracking.peers, "installed", lambda: {"one for all": lambda *a: one_for_all(*a)[0]}
+    )
+    rows = tracking.run({"ours": [tracking.Scene(folder)]}, tmp_path / "out")
+    assert [(row["family"], row["tracker"], row["sequence"]) for row in rows] == [
+        ("ours", "one for all", "TWO"), ("ours", "one for all", "combined"),
+        ("ours", "oracle", "TWO"), ("ours", "oracle", "combined"),
     ]  # fmt: skip
     apart, oracle = rows[0], rows[2]
     assert (apart["frames"], apart["detections"], apart["tracks"]) == (12, 20, 20)
@@ -49,6 +53,32 @@ def test_rows(folder, monkeypatch):
     assert (oracle["IDSW"], oracle["tracks"]) == (0, 2)
     assert "seconds" not in oracle
     assert apart["seconds"] > 0
+
+
+def test_weights_of_a_family_are_learned_on_the_others(folder, monkeypatch, tmp_path):
+    learned = []
+
+    class Found:
+        def save(self, file):
+            file.write_text("")
+
+    def train(families):
+        learned.append(set(families))
+        return Found()
+
+    monkeypatch.setattr(tracking, "train", train)
+    monkeypatch.setattr(tracking, "simulated", lambda count: [])
+    monkeypatch.setattr(tracking.Weights, "load", lambda file: file.name)
+    scenes = {name: [tracking.Scene(folder)] for name in "abc"}
+    found = tracking.held_out(scenes, tmp_path)
+    assert learned == [
+        set("bc") | {"simulated"},
+        set("ac") | {"simulated"},
+        set("ab") | {"simulated"},
+    ]
+    assert found == {name: f"without_{name}.safetensors" for name in "abc"}
+    tracking.held_out(scenes, tmp_path)
+    assert len(learned) == 3
 
 
 def test_peers_are_fed_every_frame():
@@ -88,33 +118,32 @@ def test_report(tmp_path):
     names = ("MIXER", "MIXER online", "SORT", "oracle")
     rows = [
         {
-            "tracker": name, "sequence": sequence, "HOTA": 40 + k, "AssA": 41.0, "DetA": 42.0,
-            "IDF1": 50.0 + k, "MOTA": 44.0, "IDSW": 9 - k, "Frag": 1, "tracks": 5, "frames": 100,
-            "detections": 900, **({} if name == "oracle" else {"seconds": 2.0, "peak_mib": 3.0}),
-            **({"latency_median_ms": 4.0, "latency_p95_ms": 5.0, "latency_max_ms": 6.0} if k == 1
-               else {}),
+            "family": family, "tracker": name, "sequence": sequence, "HOTA": 40 + k, "AssA": 41.0,
+            "DetA": 42.0, "IDF1": 50.0 + k, "MOTA": 44.0, "IDSW": 9 - k, "Frag": 1, "tracks": 5,
+            "frames": 100, "detections": 900,
+            **({} if name == "oracle" else {"seconds": 2.0, "peak_mib": 3.0}),
         }
+        for family in ("cars", "people")
         for k, name in enumerate(names)
         for sequence in ("A", "B", "combined")
     ]  # fmt: skip
     speed = [
         {
-            "tracker": name, "frames": frames, "detections": 50 * frames,
-            "seconds": 0.01 * frames, "peak_mib": 400, "HOTA": 80, "IDF1": 90,
+            "tracker": name, "people": 50, "frames": 100, "detections": 5000, "seconds": 1.0,
+            "peak_mib": 400, "HOTA": 80, "IDF1": 90,
+            **({"latency_median_ms": 4.0, "latency_p99_ms": 5.0} if "online" in name else {}),
         }
-        for name in names[:3]
-        for frames in (100, 200)
+        for name in names[:2]
     ]  # fmt: skip
     results.write(tmp_path / "rows.csv", tracking.COLUMNS, rows)
     results.write(tmp_path / "speed.csv", tracking.SPEED_COLUMNS, speed)
     text = tracking_report.make(tmp_path)
-    assert "2 sequences, 100 frames, 900 detections" in text
-    assert "| SORT | **42.0** |" in text  # the oracle's 43 does not count
-    assert "| SORT | 100 | 1.0 | 10.0 | 400 | 80.0 | 90.0 |" in text
-    assert "| MIXER online | combined | 4.0 | 5.0 | 6.0 |" in text
-    assert "Not installed, so left out: ByteTrack, OC-SORT, norfair" in text
-    for name in ("tracking", "speed"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert "| | cars | people |" in text
+    assert "| SORT | **42.0** / **41.0** / **52.0** |" in text  # the oracle's 43 does not count
+    assert "| SORT | 42.0 (7) | 42.0 (7) | 42.0 (7) | 50 |" in text
+    assert "| MIXER online | 50 | 100 | 100 | 400 | 80.0 | 90.0 | 4.0 | 5.0 |" in text
+    assert "Not installed, so left out: ByteTrack, OC-SORT, C-BIoU, norfair, ARC-SORT" in text
+    assert (tmp_path / "tracking.png").stat().st_size > 10_000
 
 
 @pytest.mark.real_data
@@ -122,7 +151,8 @@ def test_figures_of_the_peers(real_data, monkeypatch):
     for package in ("trackers", "norfair"):
         pytest.importorskip(package)
     monkeypatch.setattr(tracking, "OURS", {})
-    rows = tracking.run(sorted(path.parent for path in real_data.glob("mot15/*/seqinfo.ini")))
+    monkeypatch.setattr(tracking, "held_out", lambda families, out: dict.fromkeys(families))
+    rows = tracking.run(tracking.families_of([real_data / "mot15"]), None)
     found = {row["tracker"]: row for row in rows if row["sequence"] == "combined"}
     for name, expected in {
         "SORT": (39.2, 36.8, 51.5),

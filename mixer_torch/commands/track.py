@@ -24,6 +24,7 @@ from mixer_torch.observations import Observations
 from mixer_torch.plots.video import write_track_video
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.base import BaseTracker
+from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracks import Tracks
 
 FRAME_RATE = 30.0
@@ -59,7 +60,7 @@ def track(
 
     Args:
         sequences: Folders, as they are or inside $MIXER_DATA.
-        tracker: The tracker; options that are not given are those of configs/track.yaml.
+        tracker: The tracker; the default one, Tracker(), where nothing is said.
         out: Folder to write to: SEQUENCE.txt for each, named after its folder, and config.yaml.
         start: First frame; from the beginning if null.
         stop: Last frame, included; to the end if null.
@@ -75,13 +76,12 @@ def track(
         config: The resolved configuration, to be written beside the results.
         progress: Called with stage, number done and total while the work goes on.
     """
-    if tracker is None:
-        raise ValueError("tracker: expected one, got none; say --config configs/track.yaml")
+    tracker = tracker or Tracker()
     place = device_named(device)
     folders = _by_name(sequences)
     check_folder(out)
     options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
-    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair, "spread": True}
+    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair}
     jobs = [_read(name, folder, options, video) for name, folder in folders.items()]
     truths, unreadable = _truths(jobs, classes)
     out.mkdir(parents=True, exist_ok=True)

@@ -1,84 +1,66 @@
-"""Looks, described once: appearance scorers compare boxes, and tracklets by their mean looks."""
+"""Further modalities of a tracker: any scorers, on what observations have beside boxes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
+from jaxtyping import Float64
 from torch import Tensor
 
 from mixer_torch.observations import Observations
 from mixer_torch.scoring import Scorer, check_needs
+from mixer_torch.tracking.evidence import Frame, Pairs
+from mixer_torch.tracking.states import States
 
-APPEARANCE = "appearance/"
-"""What the features begin with that hold descriptions; the number of the scorer follows."""
-
-
-class Looks(Scorer):
-    """A scorer whose descriptions are a feature already, of boxes or the mean ones of tracklets.
-
-    Args:
-        scorer: Says how descriptions are compared, and with what calibrator.
-        key: The feature.
-    """
-
-    def __init__(self, scorer: Scorer, key: str) -> None:
-        super().__init__(scorer.calibrator)
-        self.scorer = scorer
-        self.needs = (key,)
-        self.chunk = scorer.chunk
-
-    @property
-    def name(self) -> str:
-        return self.scorer.name
-
-    def compare(self, description: Tensor, pairs: Tensor) -> Tensor:
-        return self.scorer.compare(description, pairs)
+LARGEST = 4.0
+"""Nats that one further modality may say: a calibrator is sure only of what it has seen."""
 
 
-def with_looks(observations: Observations, scorers: Sequence[Scorer]) -> Observations:
-    """The observations with what each scorer says of their looks as features, once and for all.
+class ScorerEvidence:
+    """What scorers say of pairs of observations, as log likelihood ratios, nats.
+
+    Each observation is described once. A track is compared by its latest box.
 
     Args:
+        scorers: One for each modality.
         observations: With what the scorers need.
-        scorers: Their descriptions have to be one tensor of floats, a row for each observation,
-            whose mean makes sense: histograms, embeddings.
+        rows: (n,) the observation of each detection of the sequence.
 
     Raises:
         KeyError: A scorer needs what is missing.
-        ValueError: A description is of another form.
     """
-    found = {}
-    for k, scorer in enumerate(scorers):
-        key = f"{APPEARANCE}{k}"
-        if key in observations.features:
-            continue
-        check_needs(scorer, observations)
-        description = scorer.describe(observations)
-        if not (isinstance(description, Tensor) and description.is_floating_point()):
-            raise ValueError(
-                f"appearance: expected scorers that describe looks by one tensor of floats, "
-                f"got {scorer.name}"
-            )
-        found[key] = description.detach()
-    return observations.with_features(**found) if found else observations
+
+    def __init__(
+        self, scorers: Sequence[Scorer], observations: Observations, rows: np.ndarray
+    ) -> None:
+        self.rows = torch.from_numpy(rows).to(observations.device)
+        self.scorers = list(scorers)
+        with torch.no_grad():
+            for scorer in self.scorers:
+                check_needs(scorer, observations)
+            self.descriptions = [scorer.describe(observations) for scorer in self.scorers]
+            self.contexts = [scorer.calibrator.describe(observations) for scorer in self.scorers]
+
+    def __call__(self, states: States, frame: Frame, pairs: Pairs) -> Float64[np.ndarray, " P"]:
+        """(P,) the sum over the modalities; 0 where none has anything to say."""
+        total = np.zeros(len(pairs.track))
+        if not len(total):
+            return total
+        earlier = states.row[pairs.track]
+        later = frame.row[pairs.detection]
+        chosen = self.rows[torch.from_numpy(np.stack([earlier, later])).to(self.rows.device)]
+        with torch.no_grad():
+            for scorer, description, context in zip(
+                self.scorers, self.descriptions, self.contexts, strict=True
+            ):
+                score = scorer.score_described(description, chosen, None, context)
+                total += evidence_of(score)
+        return total
 
 
-def looks(scorers: Sequence[Scorer]) -> list[Looks]:
-    """Scorers that compare what :func:`with_looks` found."""
-    return [Looks(scorer, f"{APPEARANCE}{k}") for k, scorer in enumerate(scorers)]
-
-
-def pooled(value: Tensor, labels: Tensor, count: int) -> Tensor:
-    """The mean of a feature in each cluster, over the rows without NaN; NaN where there is none.
-
-    Args:
-        value: (m, ...) floats.
-        labels: (m,) clusters, 0..count - 1.
-        count: How many there are.
-    """
-    rows = value.double()[:, None].flatten(1)
-    good = rows.isfinite().all(1)
-    total = rows.new_zeros(count, rows.shape[1]).index_add(0, labels[good], rows[good])
-    number = torch.bincount(labels[good], minlength=count)[:, None]
-    return (total / number).reshape(count, *value.shape[1:]).to(value.dtype)
+def evidence_of(score: Tensor) -> Float64[np.ndarray, " P"]:
+    """Scores LR / (1 + LR) as log likelihood ratios, bounded."""
+    odds = torch.logit(score.double()).nan_to_num(posinf=LARGEST, neginf=-LARGEST)
+    return odds.clamp(-LARGEST, LARGEST).cpu().numpy()

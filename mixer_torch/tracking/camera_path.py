@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from mixer_torch.io.text import read_numbers, refuse
 from mixer_torch.observations import Observations
 from mixer_torch.tracks import Tracks
 
@@ -52,6 +54,24 @@ class CameraPath:
     def __len__(self) -> int:
         return len(self.frame)
 
+    @classmethod
+    def load(cls, path: str | Path) -> CameraPath:
+        """Read a path of one camera: lines of frame and the 2x3 matrix from its pixels to rest.
+
+        Numbers are apart by commas: frame, m11, m12, m13, m21, m22, m23; lines in any order.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: A line is malformed; the message names it.
+        """
+        rows, number = read_numbers(Path(path), 7, delimiter=",")
+        wrong = ~np.isfinite(rows).all(1)
+        refuse(Path(path), number, wrong, "a number is not finite")
+        frame, matrix = rows[:, 0].astype(np.int64), rows[:, 1:7].reshape(-1, 2, 3)
+        flat = np.abs(np.linalg.det(matrix[:, :, :2])) < 1e-12
+        refuse(Path(path), number, flat, "the matrix cannot be inverted")
+        return cls(np.zeros(len(frame), dtype=np.int64), frame, matrix)
+
     def at(self, camera: Any, frame: Any) -> Float64[np.ndarray, "n 2 3"]:
         """The transforms at some frames of some cameras, on a line where they are in between.
 
@@ -88,6 +108,46 @@ class CameraPath:
     def restored(self, tracks: Tracks) -> Tracks:
         """The tracks with boxes in the pixels of their frames: :meth:`steadied` undone."""
         return _with_boxes(tracks, inverse(self.at(tracks.camera, tracks.frame)))
+
+
+def steps_of(
+    path: CameraPath,
+    camera: int,
+    frames: Int64[np.ndarray, " T"],
+    middle: Float64[np.ndarray, "T 2"],
+) -> Float64[np.ndarray, "T 3"]:
+    """The scale and the shift from each frame to the next along a path, pixels; turns are left out.
+
+    Args:
+        path: Where the camera looked.
+        camera: Its number.
+        frames: The frames; the first step is that of rest.
+        middle: A point of each frame that its step is exact at.
+    """
+    place = path.at(np.full(len(frames), camera), frames)
+    steps = np.tile([1.0, 0.0, 0.0], (len(frames), 1))
+    if len(frames) < 2:
+        return steps
+    back = inverse(place[1:])
+    linear = back[:, :, :2] @ place[:-1, :, :2]
+    shift = (back[:, :, :2] @ place[:-1, :, 2:])[:, :, 0] + back[:, :, 2]
+    steps[1:, 0] = np.sqrt(np.linalg.det(linear))
+    now = (linear @ middle[:-1, :, None])[:, :, 0] + shift
+    steps[1:, 1:] = now - steps[1:, :1] * middle[:-1]
+    return steps
+
+
+def path_of_steps(
+    steps: Float64[np.ndarray, "T 3"], camera: int, frames: Int64[np.ndarray, " T"]
+) -> CameraPath:
+    """The path that steps of scale and shift (pixels) make, from the first frame on."""
+    scale, shift = 1.0, np.zeros(2)
+    transform = np.zeros((len(frames), 2, 3))
+    for t, step in enumerate(steps[: len(frames)]):
+        if t:
+            scale, shift = step[0] * scale, step[0] * shift + step[1:]
+        transform[t] = np.column_stack([np.eye(2) / scale, -shift / scale])
+    return CameraPath(np.full(len(frames), camera), frames, transform)
 
 
 def frames_and_cameras(observations: Observations) -> tuple[np.ndarray, np.ndarray]:

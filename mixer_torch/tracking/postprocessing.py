@@ -1,13 +1,49 @@
-"""What comes after association: which tracks are objects, and where they were in between."""
+"""What is done to the tracks of objects: gaps are filled, and boxes smoothed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 
 from mixer_torch.tracks import Tracks
 
-SLACK = 0.01
+ROUGH = 0.005
+"""Jitter, in sizes, up to which boxes are left as they are: that of boxes rounded to pixels."""
+
+
+@dataclass(frozen=True)
+class PostProcessing:
+    """What is done to the tracks of objects.
+
+    Args:
+        object_odds: Log odds of being an object from which a track is one. Its default asks for
+            more than an even chance: of a detector that the weights have not seen, the odds of
+            clutter are underestimated.
+        fill: Longest gap to be filled with boxes on a straight line, seconds; 0 for none.
+        smoothing: Standard deviation in time of the average that boxes are replaced by, as a
+            multiple of the best one for the measured jitter and change; 0 leaves boxes as they are.
+    """
+
+    object_odds: float = 1.0
+    fill: float = 0.5
+    smoothing: float = 0.0
+
+
+def bandwidth(jitter: float, change: float) -> float:
+    """Frames over which boxes are best averaged: where averaged jitter equals the bend of the path.
+
+    A line fitted over n frames averages jitter s to about s / sqrt(n), and misses a path whose
+    velocity changes by a in a frame by about a n^2 / 8: the sum is least near (4 s / a)^(2/5).
+
+    Args:
+        jitter: Standard deviation of boxes, sizes.
+        change: Of the velocity from frame to frame, sizes, jitter not included.
+    """
+    if jitter <= ROUGH:
+        return 0.0
+    return float((4 * jitter / max(change, 1e-4)) ** 0.4)
 
 
 def members(tracks: Tracks) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
@@ -19,29 +55,6 @@ def members(tracks: Tracks) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, 
     key = np.stack([tracks.identity, tracks.camera])[:, order]
     change = (key[:, 1:] != key[:, :-1]).any(0)
     return order, np.concatenate([np.zeros(min(len(order), 1), int), np.cumsum(change)])
-
-
-def strong(
-    tracks: Tracks, min_boxes: int, min_confidence: float, min_strength: float = 0.0
-) -> Bool[np.ndarray, " n"]:
-    """Which boxes are of tracks that are long and sure enough to be objects.
-
-    Args:
-        tracks: What was found; boxes whose confidence is not known count as sure.
-        min_boxes: Boxes that an identity needs, over all cameras.
-        min_confidence: Confidence that it needs: 1.01 less the geometric mean of 1.01 less those of
-            its boxes, which tells objects from clutter better than their mean.
-        min_strength: Sum of confidences that it needs.
-    """
-    identity, index = np.unique(tracks.identity, return_inverse=True)
-    confidence = np.nan_to_num(tracks.confidence, nan=1.0)
-    count = np.bincount(index, minlength=len(identity))
-    total = np.bincount(index, weights=confidence, minlength=len(identity))
-    doubt = np.log(1 + SLACK - confidence.clip(0, 1))
-    mean = np.exp(np.bincount(index, weights=doubt, minlength=len(identity)) / count.clip(1))
-    good = (count >= min_boxes) & (total >= min_strength)
-    good &= 1 + SLACK - mean >= min_confidence
-    return good[index]
 
 
 def interpolated(tracks: Tracks, max_gap: float) -> Tracks:

@@ -1,306 +1,324 @@
-"""Offline tracking: association of boxes, and of the tracklets that they make, again and again."""
+"""The tracker: detections of a sequence in, who was where out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import time
+import warnings
+from collections.abc import Sequence as Listed
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Int64
-from torch import Tensor
 
-from mixer_torch.association import Association, by_first_appearance
-from mixer_torch.fusion import Fusion, LogOddsFusion
+from mixer_torch.association import Association, Status, by_first_appearance
 from mixer_torch.observations import Observations
-from mixer_torch.pairs import PairSelector, Reachable, within_view
-from mixer_torch.scoring import Progress, Scorer, score
-from mixer_torch.solvers.base import solve
-from mixer_torch.solvers.mixer import Mixer
-from mixer_torch.solvers.problem import Solver
-from mixer_torch.tracking.appearance import looks, with_looks
+from mixer_torch.scoring import Progress, Scorer
+from mixer_torch.tracking.appearance import ScorerEvidence
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.camera_motion import CameraMotion
-from mixer_torch.tracking.camera_path import CameraPath
-from mixer_torch.tracking.causal import causal_labels
-from mixer_torch.tracking.motion import MotionModel
-from mixer_torch.tracking.postprocessing import interpolated, smoothed, strong
-from mixer_torch.tracking.tracklets import (
-    measured_resolution,
-    overlapping,
-    successive,
-    summarised,
-    with_paths,
+from mixer_torch.tracking.camera_path import CameraPath, frames_and_cameras, path_of_steps, steps_of
+from mixer_torch.tracking.following import Follower, Linking
+from mixer_torch.tracking.joining import Joining, joined
+from mixer_torch.tracking.measured import Measured, Sequence
+from mixer_torch.tracking.objects import Boxes, numbered, track_features
+from mixer_torch.tracking.passes import follow_online, follow_whole
+from mixer_torch.tracking.postprocessing import (
+    PostProcessing,
+    bandwidth,
+    interpolated,
+    smoothed,
 )
+from mixer_torch.tracking.stream import Stream
+from mixer_torch.tracking.weights import Weights
 from mixer_torch.tracks import Tracks
 
-NEAR: dict[str, Any] = {
-    "window": 0.3,
-    "reach": 1.0,
-    "speed": 2.0,
-    "growth": 0.7,
-    "views": 3,
-    "most_views": 6,
-}
-"""Arguments of :class:`Reachable` for level one: long gaps are left to level two."""
-NOT_NEGATIVE = (
-    "patience",
-    "reach",
-    "speed",
-    "growth",
-    "memory",
-    "tracklet_memory",
-    "inflation",
-    "tracklet_inflation",
-    "min_strength",
-    "fill",
-    "smoothing",
-)
+MANY_DROPPED = 0.5
+"""Share of the detections that are probably objects, from which dropping them is worth a word."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What a tracker found out about the detections of one camera.
+
+    Args:
+        rows: (n,) the observations, in order of frames.
+        sequence: The detections.
+        measured: What was measured of them.
+        boxes: What is known of each detection; ``boxes.label`` has the tracks, 0.., -1 for none.
+        objects: (k,) log odds that each track is an object.
+    """
+
+    rows: np.ndarray
+    sequence: Sequence
+    measured: Measured
+    boxes: Boxes
+    objects: np.ndarray
 
 
 class Tracker(BaseTracker):
-    """Who is who in a sequence, at full length: boxes are associated, then the tracklets they make.
+    """Who is who among the detections of a sequence, of anything in boxes, by any detector.
 
-    A causal pass through the frames, forwards and then backwards in time, gives the first labels.
-    Level one scores pairs of boxes that one object could have made, with velocities fitted on the
-    labels so far as if each cluster were cut at the box in question, and solves; this is repeated
-    with the labels found, ``passes`` times in all. Level two takes the clusters as observations
-    and does the same with their ends and mean looks, over the gaps in turn; tracklets that overlap
-    in time are never joined.
-
-    The defaults are fitted to people on foot, see ``configs/track.yaml``.
+    What depends on the data is measured on the sequence, without labels: what scores mean, how far
+    boxes jitter and move, and how the camera moves (a :class:`Measured` of each camera, in the
+    association's ``stats["measured"]``: print it). Frame by frame, modalities (overlap,
+    motion, edges, shape, score, and the ratio to the best rival) each give a calibrated log
+    likelihood ratio for every pair of a track and a detection; their sum is assigned one to one.
+    Offline, the tracks are then joined over longer gaps, all at once, by MIXER. A track is an
+    object where its boxes together say so.
 
     Args:
-        scorers: How boxes are compared, one for each modality.
-        tracklet_scorers: How tracklets are compared, by the features that
-            :func:`~mixer_torch.tracking.tracklets.summarised` gives them.
-        appearance: Scorers of looks for both levels, where there are pixels or features: they
-            describe each box once, as one tensor of floats, and tracklets have the mean of it.
-        pairs: Which boxes to compare; those of :data:`NEAR` if None.
-        fusion: How modalities add up; log odds if None.
-        solver: The algorithm of both levels; ``Mixer`` with few restarts if None.
-        model: How things move, for the velocities; people walking if None.
-        camera_motion: How the motion of the camera is seen in the pixels, to be taken out: boxes
-            are associated, interpolated and smoothed where they would be had it rested. If None,
-            it is taken to rest.
-        patience: Longest time that the causal pass waits for a path to be seen again, seconds;
-            0 to begin without labels, and so without velocities.
-        passes: Solutions of level one.
-        gaps: Longest time between two tracklets, seconds, one for each solution of level two.
-        reach: What detections of one thing differ by at most, heights (level two).
-        speed: Greatest speed, heights a second (level two).
-        growth: Greatest difference of size, nats (level two).
-        memory: How many boxes before and after velocities are fitted on, at level one.
-        tracklet_memory: The same at level two.
-        inflation: By how much the detector's error is taken to be larger than measured, at level
-            one, as errors of successive boxes are alike.
-        tracklet_inflation: The same at level two: tracklets end where boxes are at their worst.
-        min_boxes: Tracks of fewer boxes are dropped.
-        min_confidence: Tracks of a lower typical confidence are dropped, see
-            :func:`~mixer_torch.tracking.postprocessing.strong`.
-        min_strength: Tracks of a lower sum of confidences are dropped.
-        fill: Gaps up to this long are filled with boxes in between, seconds; 0 for none.
-        smoothing: Standard deviation of the average over time that boxes are replaced by,
-            seconds; 0 leaves them as detected.
+        linking: How detections are put on tracks.
+        joining: How tracks are joined over gaps; None for not at all.
+        post: What is done to the tracks of objects.
+        online: Decide frame by frame: what was said of a frame never changes.
+        camera: How the camera moves: None to see it in the boxes, a :class:`CameraMotion` to see it
+            in the pixels, or a :class:`CameraPath` or the name of a file of matrices
+            (:meth:`CameraPath.load`) where it is known.
+        scorers: Further modalities, for what observations have beside boxes (images, positions,
+            embeddings): each scores a detection against the latest box of a track.
+        weights: What was learned: a file, or what is shipped if None.
+        across_categories: Whether a track may be of several categories.
+        frame_rate: Frames a second, for :meth:`update` and observations without ``time``.
 
     Raises:
-        ValueError: An argument is out of range.
+        ValueError: A setting is out of range, or weights are not readable.
     """
 
     def __init__(
         self,
-        scorers: list[Scorer],
-        tracklet_scorers: list[Scorer],
-        appearance: list[Scorer] | None = None,
-        pairs: PairSelector | None = None,
-        fusion: Fusion | None = None,
-        solver: Solver | None = None,
-        model: MotionModel | None = None,
-        camera_motion: CameraMotion | None = None,
-        patience: float = 0.5,
-        passes: int = 2,
-        gaps: Sequence[float] = (0.5, 1.0, 2.0, 4.0),
-        reach: float = 1.0,
-        speed: float = 2.0,
-        growth: float = 0.7,
-        memory: int = 12,
-        tracklet_memory: int = 30,
-        inflation: float = 1.5,
-        tracklet_inflation: float = 5.0,
-        min_boxes: int = 3,
-        min_confidence: float = 0.94,
-        min_strength: float = 10.0,
-        fill: float = 2.0,
-        smoothing: float = 0.3,
+        linking: Linking | None = None,
+        joining: Joining | None = None,
+        post: PostProcessing | None = None,
+        online: bool = False,
+        camera: CameraMotion | CameraPath | str | Path | None = None,
+        scorers: Listed[Scorer] = (),
+        weights: Weights | str | Path | None = None,
+        across_categories: bool = False,
+        frame_rate: float | None = None,
     ) -> None:
-        if not scorers:
-            raise ValueError("scorers: expected at least one, got none")
-        if gaps and not tracklet_scorers:
-            raise ValueError("tracklet_scorers: expected at least one, or no gaps")
-        if passes < 1:
-            raise ValueError(f"passes: expected 1 or more, got {passes}")
+        if frame_rate is not None and not (np.isfinite(frame_rate) and frame_rate > 0):
+            raise ValueError(f"frame_rate: expected a positive number, got {frame_rate}")
+        self.linking = linking or Linking()
+        self.joining = joining or Joining()
+        self.post = post or PostProcessing()
+        self.online = online
+        self.camera = CameraPath.load(camera) if isinstance(camera, str | Path) else camera
         self.scorers = list(scorers)
-        self.tracklet_scorers = list(tracklet_scorers)
-        self.appearance = list(appearance or [])
-        self.pairs = pairs or Reachable(**NEAR)
-        self.fusion = fusion or LogOddsFusion(cap=8.0)
-        self.solver = solver or Mixer(restarts=10)
-        self.model = model or MotionModel()
-        self.camera_motion = camera_motion
-        self.patience = patience
-        self.passes = passes
-        self.gaps = tuple(gaps)
-        self.reach, self.speed, self.growth = reach, speed, growth
-        self.memory, self.tracklet_memory = memory, tracklet_memory
-        self.inflation, self.tracklet_inflation = inflation, tracklet_inflation
-        self.min_boxes = min_boxes
-        self.min_confidence = min_confidence
-        self.min_strength = min_strength
-        self.fill = fill
-        self.smoothing = smoothing
-        for name in NOT_NEGATIVE:
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name}: expected 0 or more, got {getattr(self, name)}")
-        if not all(gap > 0 for gap in self.gaps):
-            raise ValueError(f"gaps: expected positive numbers, got {self.gaps}")
+        if weights is None:
+            weights = Weights.shipped()
+        self.weights = weights if isinstance(weights, Weights) else Weights.load(weights)
+        self.across_categories = across_categories
+        self.frame_rate = frame_rate
+        self._stream: Stream | None = None
 
     def associate(
         self, observations: Observations, progress: Progress | None = None
     ) -> Association:
-        """A label for every observation, weak ones and clutter included.
+        """A label for every observation, clutter included; one on no track has a label of its own.
 
-        The objective is that of the last solution of level one. ``stats`` tells how many
-        tracklets it left, how many clusters there are in the end, and the ``camera_path`` that
-        was taken out, where one was.
+        ``stats`` has, by camera, what was ``measured``, and with ``online`` the ``latency`` of each
+        frame, seconds. The objective is the sum of the evidence for the links, negative.
         """
-        check(observations)
-        observations = with_looks(observations, self.appearance)
-        stats: dict[str, Any] = {}
-        if self.camera_motion is not None:
-            stats["camera_path"] = path = self.camera_motion.path(observations, progress)
-            observations = path.stabilised(observations)
-        labels = self.begin(observations)
-        pairs = self.pairs(observations)
-        for _ in range(self.passes):
-            answer = self.link(observations, labels, pairs, progress=progress)
-            labels = _labels(answer)
-        tracklets = answer.num_clusters
-        for gap in self.gaps:
-            labels = self.join(observations, labels, gap, progress=progress)
-        count = int(labels.max()) + 1 if len(labels) else 0
-        stats |= {**answer.stats, "tracklets": tracklets, "clusters": count}
-        return Association(labels, answer.objective, answer.status, stats=stats)
-
-    def begin(self, observations: Observations) -> Int64[Tensor, " m"]:
-        """Labels of a causal pass forwards, then of one backwards that knows the errors better."""
-        labels = torch.arange(len(observations), device=observations.device)
-        if self.patience == 0:
-            return labels
-        for backwards in (False, True):
-            error = self.inflation * measured_resolution(observations, labels, self.model)
-            labels = causal_labels(
-                observations, self.model, error, patience=self.patience, backwards=backwards
-            )
-        return by_first_appearance(labels)
-
-    def link(
-        self,
-        observations: Observations,
-        labels: Int64[Tensor, " m"],
-        pairs: Int64[Tensor, "2 P"],
-        must_link: Int64[Tensor, "2 K"] | None = None,
-        progress: Progress | None = None,
-    ) -> Association:
-        """Level one, once: who is who among boxes, with velocities fitted on the labels so far.
-
-        Args:
-            observations: The sequence, or a stretch of it.
-            labels: Clusters of links that are confident.
-            pairs: Which boxes to compare.
-            must_link: Pairs of boxes that are known to be of one object.
-            progress: Told what is done while it goes on.
-        """
-        known = with_paths(observations, labels, self.model, self.memory, self.inflation)
-        known = with_looks(known, self.appearance)
-        affinity = score(known, [*self.scorers, *looks(self.appearance)], pairs, progress)
-        return solve(affinity, self.solver, self.fusion, must_link=must_link)
-
-    def tracklets(self, observations: Observations, labels: Int64[Tensor, " m"]) -> Observations:
-        """The clusters 0.. as observations of their own
-        (:func:`~mixer_torch.tracking.tracklets.summarised`).
-        """
-        known = with_paths(
-            observations, labels, self.model, self.tracklet_memory, self.tracklet_inflation
-        )
-        return summarised(with_looks(known, self.appearance), labels)
-
-    def join(
-        self,
-        observations: Observations,
-        labels: Int64[Tensor, " m"],
-        gap: float,
-        settled: Bool[Tensor, " k"] | None = None,
-        progress: Progress | None = None,
-    ) -> Int64[Tensor, " m"]:
-        """Level two, once: the labels when tracklets are joined over gaps of so many seconds.
-
-        Args:
-            observations: The sequence, or a stretch of it.
-            labels: The tracklets, 0.., each used.
-            gap: Longest time between two.
-            settled: Which tracklets are known to be of different objects, each of its own.
-            progress: Told what is done while it goes on.
-        """
-        tracklets = self.tracklets(observations, labels)
-        pairs = successive(tracklets, gap, self.reach, self.speed, self.growth)
-        if settled is not None:
-            tracklets = replace(tracklets, view=torch.where(settled, 0, -1))
-            pairs = pairs[:, ~within_view(tracklets.view, pairs)]
-        scorers = [*self.tracklet_scorers, *looks(self.appearance)]
-        affinity = score(tracklets, scorers, pairs, progress)
-        apart = overlapping(tracklets["span"], tracklets.features.get("camera"))
-        joined = solve(affinity, self.solver, self.fusion, cannot_link=apart)
-        return by_first_appearance(_labels(joined)[labels])
+        started = time.perf_counter()
+        rate = self._frame_rate(observations)
+        frame, camera = frames_and_cameras(observations)
+        good = self._usable(observations)
+        labels = np.full(len(observations), -1)
+        followed: dict[int, Followed] = {}
+        latency: list[float] = []
+        for number in np.unique(camera[good]).tolist():
+            rows = np.flatnonzero(good & (camera == number))
+            rows = rows[np.argsort(frame[rows], kind="stable")]
+            found = self._follow(observations, rows, number, rate, latency, progress)
+            followed[number] = found
+            on_track = found.boxes.label >= 0
+            labels[rows[on_track]] = found.boxes.label[on_track] + labels.max(initial=-1) + 1
+        alone = labels < 0
+        labels[alone] = labels.max(initial=-1) + 1 + np.arange(alone.sum())
+        stats = {
+            "measured": {number: one.measured for number, one in followed.items()},
+            "followed": followed,
+            "seconds": time.perf_counter() - started,
+        }
+        if self.online:
+            stats["latency"] = latency
+        evidence = sum(float(one.boxes.link.sum()) for one in followed.values())
+        label = by_first_appearance(torch.from_numpy(labels)).to(observations.device)
+        return Association(label, -evidence, Status.CONVERGED, stats=stats)
 
     def finish(self, observations: Observations, association: Association) -> Tracks:
-        """The tracks of objects: weak ones dropped, short gaps filled, boxes smoothed.
+        """The tracks of objects, gaps filled and boxes smoothed where the camera rests.
 
-        Where the camera's motion is taken out, that is done where boxes rest, on the
-        ``camera_path`` of the association's ``stats`` or on one that is found anew.
+        Raises:
+            ValueError: The association was not made by a tracker of this kind.
         """
-        tracks = Tracks.from_labels(observations, _labels(association))
-        seconds = seconds_per_frame(observations)
-        if self.camera_motion is None:
-            return self.end(tracks, seconds)
-        path = association.stats.get("camera_path")
-        if not isinstance(path, CameraPath):
-            path = self.camera_motion.path(observations)
-        return path.restored(self.end(path.steadied(tracks), seconds))
+        followed = association.stats.get("followed")
+        if followed is None:
+            raise ValueError("association: expected what associate() of this tracker returned")
+        label = np.full(len(observations), -1)
+        dropped = confident = 0
+        for one in followed.values():
+            own = one.boxes.label
+            keep = np.append(one.objects > self.post.object_odds, False)[own]
+            label[one.rows[keep]] = own[keep] + label.max(initial=-1) + 1
+            sure = one.boxes.odds > 0
+            confident += int(sure.sum())
+            dropped += int((sure & ~keep).sum())
+        self._warn(len(observations), label, confident, dropped)
+        tracks = Tracks.from_labels(observations, torch.from_numpy(numbered(label)))
+        rate = self._frame_rate(observations)
+        parts = [
+            self._post_processed(tracks.select(tracks.camera == number), one, number, rate)
+            for number, one in followed.items()
+        ]
+        return _side_by_side(parts) if parts else tracks
 
-    def end(self, tracks: Tracks, seconds: float) -> Tracks:
-        """Drop the weak, fill gaps and smooth, with so many seconds from frame to frame."""
-        keep = strong(tracks, self.min_boxes, self.min_confidence, self.min_strength)
-        filled = interpolated(tracks.select(keep), self.fill / seconds)
-        return smoothed(filled, self.smoothing / seconds)
+    def update(self, detections: Any) -> Any:
+        """Track the next frame: ``supervision.Detections`` in, those on a track out, with ids.
+
+        Identities count from 1 without holes and never change. A track is shown from the frame on
+        in which its boxes together say that it is an object. Masks, classes and data come back.
+
+        Args:
+            detections: What a detector found in the next frame; frames without any count, too.
+
+        Raises:
+            ValueError: The tracker was made without ``frame_rate``.
+        """
+        if self._stream is None:
+            if self.frame_rate is None:
+                raise ValueError(
+                    "frame_rate: expected frames a second, got none: Tracker(frame_rate=30).update"
+                )
+            follower = Follower(self.weights, self.linking, self.frame_rate)
+            self._stream = Stream(follower, self.across_categories, self.post.object_odds)
+        return self._stream.update(detections)
+
+    def reset(self) -> None:
+        """Forget the frames that :meth:`update` was given: the next one begins a new sequence."""
+        self._stream = None
+
+    def _follow(
+        self,
+        observations: Observations,
+        rows: np.ndarray,
+        camera: int,
+        rate: float,
+        latency: list[float],
+        progress: Progress | None,
+    ) -> Followed:
+        """Follow what one camera saw."""
+        sequence = self._sequence(observations, rows)
+        steps = self._known_steps(observations, sequence, camera, progress)
+        extra = ScorerEvidence(self.scorers, observations, rows) if self.scorers else None
+        follower = Follower(self.weights, self.linking, rate, extra)
+        if self.online:
+            boxes, measured = follow_online(sequence, steps, follower, latency, progress)
+        else:
+            boxes, measured = follow_whole(sequence, steps, follower, progress)
+            columns = boxes.odds, boxes.most_overlap, boxes.neighbours
+            label = joined(
+                boxes.label, sequence, columns, measured, self.weights, self.joining, rate
+            )
+            boxes = boxes.relabelled(label)
+        judged = self.weights["tracks"](track_features(boxes))
+        return Followed(rows, sequence, measured, boxes, judged)
+
+    def _sequence(self, observations: Observations, rows: np.ndarray) -> Sequence:
+        """The detections of one camera, in order of frames."""
+        index = torch.from_numpy(rows)
+
+        def column(name: str) -> np.ndarray:
+            return observations[name].detach().cpu()[index].numpy()
+
+        def where_there(name: str) -> np.ndarray | None:
+            return column(name) if name in observations.features else None
+
+        category = None if self.across_categories else where_there("category")
+        box = column("box").astype(np.float64)
+        return Sequence.of(column("frame"), box, where_there("confidence"), category)
+
+    def _known_steps(
+        self,
+        observations: Observations,
+        sequence: Sequence,
+        camera: int,
+        progress: Progress | None,
+    ) -> np.ndarray | None:
+        """The camera's steps where they do not come from the boxes, in units of the sequence."""
+        path = self.camera
+        if isinstance(path, CameraMotion):
+            path = path.path(observations, progress)
+        if path is None or not len(sequence.frames):
+            return None
+        middle = np.stack(
+            [
+                sequence.box[rows, :2].mean(0) if rows.stop > rows.start else np.zeros(2)
+                for rows in map(sequence.rows, range(len(sequence.frames)))
+            ]
+        )
+        steps = steps_of(path, camera, sequence.frames, middle * sequence.unit)
+        steps[:, 1:] /= sequence.unit
+        return steps
+
+    def _post_processed(self, tracks: Tracks, one: Followed, camera: int, rate: float) -> Tracks:
+        """Gaps filled and boxes smoothed, where the camera rests."""
+        steps = one.measured.camera.copy()
+        steps[:, 1:] *= one.measured.unit
+        path = path_of_steps(steps, camera, one.sequence.frames)
+        resting = interpolated(path.steadied(tracks), self.post.fill * rate)
+        width = self.post.smoothing * bandwidth(one.measured.jitter, one.measured.change)
+        return path.restored(smoothed(resting, width))
+
+    def _usable(self, observations: Observations) -> np.ndarray:
+        """(m,) which observations have a box that was measured."""
+        box = observations["box"].detach().double().cpu().numpy()
+        good = np.isfinite(box).all(1)
+        flat = good & (box[:, 2:] <= box[:, :2]).any(1)
+        if flat.any():
+            raise ValueError(f"box: expected x1 < x2 and y1 < y2, got {box[flat][0]}")
+        return good
+
+    def _frame_rate(self, observations: Observations) -> float:
+        """Frames a second: as was said, or as ``time`` says."""
+        if self.frame_rate is not None:
+            return self.frame_rate
+        if "time" not in observations.features:
+            raise ValueError(
+                "frame_rate: expected frames a second, or observations with a feature 'time'; "
+                "got neither: Tracker(frame_rate=30)"
+            )
+        frame = observations["frame"].double()
+        span = float(frame.max() - frame.min()) if len(frame) else 0.0
+        if not span:
+            return 1.0
+        time_ = observations["time"].double()
+        if not bool(time_.isfinite().all()):
+            raise ValueError("time: expected finite numbers, got NaN")
+        seconds = float(time_.max() - time_.min())
+        if seconds <= 0:
+            raise ValueError("time: expected times that rise with frames, got all alike")
+        return span / seconds
+
+    def _warn(self, count: int, label: np.ndarray, confident: int, dropped: int) -> None:
+        """A word where the result is not what anybody wants."""
+        if count and (label < 0).all():
+            warnings.warn(
+                f"all of {count} detections were taken for clutter, so there is no track: see what "
+                "was measured in stats['measured'], and lower birth_odds of Linking",
+                stacklevel=3,
+            )
+        elif dropped > MANY_DROPPED * max(confident, 1):
+            warnings.warn(
+                f"{dropped} of {confident} detections that look like objects are on no track: see "
+                "what was measured in stats['measured'], and lower birth_odds of Linking",
+                stacklevel=3,
+            )
 
 
-def _labels(association: Association) -> Int64[Tensor, " m"]:
-    if association.labels is None:
-        raise ValueError("solver: expected one that always gives labels")
-    return association.labels
-
-
-def check(observations: Observations) -> None:
-    """KeyError or ValueError unless boxes and times are there and finite."""
-    for key in ("box", "time"):
-        if not bool(observations[key].isfinite().all()):
-            row = int((~observations[key].isfinite()).nonzero()[0, 0])
-            raise ValueError(f"{key}: expected finite numbers, got {observations[key][row]}")
-
-
-def seconds_per_frame(observations: Observations) -> float:
-    """The time from one frame to the next; 1 where all is of one frame."""
-    frame, time = observations["frame"].double(), observations["time"]
-    if not len(frame) or float(frame.max() - frame.min()) == 0:
-        return 1.0
-    return float((time.max() - time.min()) / (frame.max() - frame.min()))
+def _side_by_side(parts: Listed[Tracks]) -> Tracks:
+    """The tracks of several cameras together."""
+    names = ("frame", "identity", "box", "confidence", "camera", "observation")
+    return Tracks(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

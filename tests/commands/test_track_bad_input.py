@@ -61,12 +61,13 @@ def test_malformed_arguments(track, argv):
     assert not Path("out").exists()
 
 
-def test_without_a_tracker_there_is_none_to_run(track):
+def test_without_a_tracker_it_is_the_default_one(track):
     write_sequence("walk")
     Path("none.yaml").write_text("tracker: null\n")
-    code, _, err = track("walk", config="none.yaml")
-    assert code == 2
-    assert "configs/track.yaml" in err
+    code, _, _ = track("walk", "--out", "none", config="none.yaml")
+    assert code == 0
+    assert track("walk", "--out", "default")[0] == 0
+    assert Path("none/walk.txt").read_text() == Path("default/walk.txt").read_text()
 
 
 def result_of(track, rows, **other):
@@ -236,7 +237,7 @@ def test_an_error_on_the_way_leaves_what_was_finished(track):
 def test_what_a_tracker_cannot_do_names_the_sequence(track):
     write_sequence("a")
     scorer = [{"class_path": "mixer_torch.scorers.Proximity"}]
-    settings = {"scorers": scorer, "tracklet_scorers": scorer}
+    settings = {"scorers": scorer}
     tracker = {"class_path": "mixer_torch.tracking.Tracker", "init_args": settings}
     Path("places.yaml").write_text(yaml.safe_dump({"tracker": tracker}))
     code, _, err = track("a", "--out", "out", config="places.yaml")

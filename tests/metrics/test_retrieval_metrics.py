@@ -1,4 +1,5 @@
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -6,7 +7,6 @@ import torch
 from sklearn.metrics import average_precision_score
 
 import mixer_torch as mx
-from mixer_torch.metrics import retrieval as retrieval_metrics
 from mixer_torch.metrics.retrieval import retrieval, retrieval_of_affinity
 
 
@@ -47,7 +47,7 @@ def test_against_sorted_lists_and_scikit_learn(seed, levels):
 def test_in_parts_it_is_the_same(monkeypatch):
     case = random_case(0)
     whole = retrieval(*case)
-    monkeypatch.setattr(retrieval_metrics, "CHUNK", 5)
+    monkeypatch.setattr(sys.modules[retrieval.__module__], "CHUNK", 5)
     assert retrieval(*case) == pytest.approx(whole)
 
 

@@ -11,11 +11,9 @@ import torch
 from mixer_torch import scorers
 from mixer_torch.observations import Images, Observations
 from mixer_torch.pairs import Every
-from mixer_torch.scorers import SIFT, Color, IoU, Proximity, SIFTAtPoints, Tracklet
+from mixer_torch.scorers import SIFT, Color, IoU, Proximity, SIFTAtPoints
 from mixer_torch.scorers.curves import Logistic
 from mixer_torch.scoring import Calibrated, Calibrator, FunctionScorer, Scorer
-from mixer_torch.tracking.motion import MotionModel
-from mixer_torch.tracking.tracklets import summarised, tracklet_features, with_paths
 
 
 def scorer_classes():
@@ -37,7 +35,6 @@ SUBJECTS = {cls.__name__: cls for cls in CLASSES} | {
     "Proximity of what keeps its velocity": lambda: Proximity(0.5, 5.0, 0.1, swerve=0.3),
     "Color histogram": lambda: Color("histogram"),
     "SIFT at points": SIFTAtPoints,
-    "Tracklet": lambda: Tracklet(limit=1000.0),  # the features are of things that leap about
     "FunctionScorer": lambda: FunctionScorer(cosine, "embedding", Logistic(4.0, 0.2)),
     "Calibrated": lambda: Calibrated(Proximity(), Logistic(3.0, 0.5)),
 }
@@ -83,10 +80,7 @@ def observations(m=9, seed=0):
         "velocity": torch.randn(m, 3, generator=generator),
     }
     images = Images(pictures(max(int(view.max()) + 1 if m else 1, 1)), view.numpy(), box.numpy())
-    seen = Observations(view, features, images)
-    label = torch.tensor([0, 1, 2, 0, 3, 4, 5, 1, 3])[:m]  # tracklets: one after the other, or not
-    tracklets = summarised(with_paths(seen, label, MotionModel()), label)
-    return seen.with_features(**tracklet_features(tracklets, label))
+    return Observations(view, features, images)
 
 
 def scores(scorer, seen, pairs=None):
@@ -194,7 +188,7 @@ def test_gradients_are_finite(scorer):
     leaves = {
         key: seen[key].clone().requires_grad_()
         for key in scorer.needs
-        if key not in ("images", "time", "tracklet_span") and seen[key].is_floating_point()
+        if key not in ("images", "time") and seen[key].is_floating_point()
     }
     for value in leaves.values():
         value.data[5] = value.data[1]

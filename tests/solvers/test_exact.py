@@ -10,7 +10,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 import mixer_torch as mx
 from mixer_torch.datasets.synthetic import synthetic
-from mixer_torch.solvers import exact, mixer
+from mixer_torch.solvers import exact
 from mixer_torch.solvers.exact import Exact
 from mixer_torch.solvers.problem import Problem, is_distinct, objective_of, problem_of
 from mixer_torch.solvers.proof.branching import granularity
@@ -181,7 +181,7 @@ def test_the_start_has_half_of_the_time_and_the_search_ends_with_it(monkeypatch)
         return original(part, labels, deadline)
 
     original = exact.prove
-    monkeypatch.setattr(mixer, "Mixer", Start)
+    monkeypatch.setattr(exact, "Mixer", Start)
     monkeypatch.setattr(exact, "prove", prove)
     cost = torch.randn(200 * 199 // 2, generator=torch.Generator().manual_seed(0))
     pairs = torch.triu_indices(200, 200, 1)

@@ -1,10 +1,10 @@
-"""Endings: against loops, least squares, and boxes worked by hand."""
+"""Post-processing: against loops, least squares, and boxes worked by hand."""
 
 import numpy as np
 import pytest
 
 from mixer_torch.tracking import Tracks
-from mixer_torch.tracking.postprocessing import interpolated, smoothed, strong
+from mixer_torch.tracking.postprocessing import bandwidth, interpolated, smoothed
 
 
 def line(frames, identity=1, speed=2.0, confidence=0.9, camera=0):
@@ -20,27 +20,6 @@ def line(frames, identity=1, speed=2.0, confidence=0.9, camera=0):
 def joined(*tracks):
     names = ("frame", "identity", "box", "confidence", "camera", "observation")
     return Tracks(*(np.concatenate([getattr(t, name) for t in tracks]) for name in names))
-
-
-def test_short_faint_and_weak_tracks_are_told():
-    tracks = joined(
-        line(range(5), 1), line(range(2), 2), line(range(9), 3, confidence=0.5), line(range(6), 4)
-    )
-    kept = tracks.select(strong(tracks, 3, 0.8))
-    assert set(kept.identity) == {1, 4}
-    assert set(tracks.select(strong(tracks, 1, 0.0, 5.0)).identity) == {4}
-    assert len(strong(tracks.select([]), 3, 0.8)) == 0
-
-
-def test_typical_confidence_is_a_geometric_mean_of_doubt():
-    doubts = np.array([0.01, 0.04, 0.25])
-    tracks = line(range(3))
-    tracks = Tracks(tracks.frame, tracks.identity, tracks.box, 1.01 - doubts)
-    typical = 1.01 - np.prod(doubts) ** (1 / 3)
-    assert strong(tracks, 1, typical - 1e-6).all()
-    assert not strong(tracks, 1, typical + 1e-6).any()
-    unknown = Tracks(tracks.frame, tracks.identity, tracks.box, np.full(3, np.nan))
-    assert strong(unknown, 1, 1.0).all()
 
 
 def test_gaps_are_filled_on_a_straight_line():
@@ -77,3 +56,15 @@ def test_smoothing_is_local_linear_regression():
         design = np.stack([np.ones(7), frame - frame[i]], 1)
         fit = np.linalg.lstsq(design * root, box * root, rcond=None)[0][0]
         assert found[i] == pytest.approx(fit, abs=0.15)
+
+
+@pytest.mark.parametrize(("jitter", "bend"), [(0.02, 0.002), (0.05, 0.01), (0.03, 0.0005)])
+def test_the_bandwidth_is_where_error_and_bend_are_least_together(jitter, bend):
+    """Against the least of s / sqrt(n) + a n^2 / 8 by trying all n."""
+    n = np.arange(1, 400)
+    best = n[(jitter / np.sqrt(n) + bend * n**2 / 8).argmin()]
+    assert bandwidth(jitter, bend) == pytest.approx(best * 2**0.4, rel=0.25)
+
+
+def test_boxes_without_jitter_are_left_as_they_are():
+    assert bandwidth(0.002, 0.01) == 0

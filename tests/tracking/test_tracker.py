@@ -1,213 +1,235 @@
-"""The tracker on people whose identity is known by construction, and on real sequences."""
+"""The tracker as it is used: offline, online, frame by frame, and on what is not quite right."""
 
-import itertools
-from importlib import resources
+import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-import yaml
 
-from mixer_torch.association import by_first_appearance
-from mixer_torch.observations import Images, Observations
-from mixer_torch.scorers import Color, Motion
-from mixer_torch.tracking import Tracker
-from mixer_torch.tracking.appearance import with_looks
-from mixer_torch.tracking.tracklets import overlapping, summarised, with_paths
-
-
-def tracker(**settings):
-    """The tracker of configs/track.yaml."""
-    text = (resources.files("mixer_torch.configs") / "track.yaml").read_text()
-    config = yaml.safe_load(text)["tracker"]["init_args"]
-    ours = {
-        name: [Motion(**item.get("init_args", {})) for item in config[name]]
-        for name in ("scorers", "tracklet_scorers")
-    }
-    return Tracker(**{**ours, "min_strength": 0.0, "smoothing": 0.0, **settings})
-
-
-def people(paths, frames, rate=20.0, noise=1.0, seed=0, hidden=()):
-    """Boxes 100 pixels high on paths, and who they are; (who, first, last frame) are hidden."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for frame, (who, path) in itertools.product(range(1, frames + 1), enumerate(paths)):
-        if any(who == k and a <= frame <= b for k, a, b in hidden):
-            continue
-        x, y = path((frame - 1) / rate) + rng.normal(size=2) * noise
-        rows.append((frame, who, x - 20, y - 50, x + 20, y + 50))
-    table = np.array(rows)
-    frame = torch.tensor(table[:, 0]).long()
-    features = {
-        "frame": frame,
-        "time": (frame - 1).double() / rate,
-        "box": torch.tensor(table[:, 2:]).float(),
-        "confidence": torch.full((len(table),), 0.99),
-    }
-    return Observations(frame, features), torch.tensor(table[:, 1]).long()
-
-
-def straight(x, y, vx, vy=0.0):
-    return lambda t: np.array([x + vx * t, y + vy * t])
-
-
-def same(found, expected):
-    return by_first_appearance(found).tolist() == by_first_appearance(expected).tolist()
-
-
-CROSSING = [straight(0, 0, 80), straight(300, 5, -80), straight(150, 200, 0)]
-
-
-def test_people_who_cross():
-    observations, who = people(CROSSING, 70)
-    assert same(tracker().associate(observations).labels, who)
-
-
-def test_a_gap_is_bridged_by_tracklets_alone():
-    observations, who = people(CROSSING, 80, hidden=[(0, 30, 55)])
-    assert same(tracker().associate(observations).labels, who)
-    apart = tracker(gaps=[]).associate(observations).labels
-    assert len(apart.unique()) == 4
-
-
-def test_tracklets_that_overlap_are_never_joined():
-    paths = [straight(0, 0, 20), straight(4, 2, 20), straight(8, -2, 20)]
-    hidden = [(0, 20, 30), (1, 25, 40), (2, 35, 50)]
-    observations, _ = people(paths, 70, noise=3.0, hidden=hidden)
-    ours = tracker()
-    labels = ours.begin(observations)
-    pairs = ours.pairs(observations)
-    labels = ours.link(observations, labels, pairs).labels
-    tracklets = summarised(with_paths(observations, labels, ours.model), labels)
-    apart = overlapping(tracklets["span"])
-    assert apart.shape[1] > 2
-    for gap in (0.5, 4.0):
-        joined = ours.join(observations, labels, gap)
-        name = torch.zeros(len(tracklets), dtype=torch.int64)
-        name[labels] = joined
-        assert (name[apart[0]] != name[apart[1]]).all()
-
-
-def test_settled_tracklets_stay_apart():
-    observations, who = people([straight(0, 0, 50)], 40, hidden=[(0, 15, 20)])
-    labels = (observations["frame"] > 20).long()
-    assert same(tracker().join(observations, labels, 1.0), who)
-    settled = torch.tensor([True, True])
-    assert same(tracker().join(observations, labels, 1.0, settled), labels)
-
-
-def test_order_of_observations_makes_no_difference():
-    observations, who = people(CROSSING, 50, hidden=[(1, 10, 20)])
-    order = torch.randperm(len(who), generator=torch.Generator().manual_seed(0))
-    labels = tracker().associate(observations.select(order)).labels
-    assert same(labels, who[order])
-
-
-@pytest.mark.parametrize("frames", [0, 1])
-def test_next_to_nothing(frames):
-    observations, who = people(CROSSING, 1)
-    observations = observations.select(torch.arange(len(who) * frames))
-    ours = tracker()
-    association = ours.associate(observations)
-    assert association.labels.tolist() == list(range(3 * frames))
-    assert association.stats["clusters"] == 3 * frames
-    assert len(ours.track(observations)) == 0
-
-
-def test_a_long_stretch_without_detections():
-    observations, who = people(CROSSING[:1], 60)
-    late = observations.with_features(
-        frame=observations["frame"] + 5000, time=observations["time"] + 250
-    )
-    both = Observations(
-        torch.cat([observations.view, late.view + 5000]),
-        {k: torch.cat([observations[k], late[k]]) for k in observations.features},
-    )
-    tracks = tracker(fill=2.0).track(both)
-    assert len(tracks) == 2 * len(who)
-    assert len(np.unique(tracks.identity)) == 2
-
-
-def test_cameras_are_not_linked_by_motion():
-    observations, who = people([straight(0, 0, 20)], 30)
-    twice = Observations(
-        torch.cat([2 * observations.view, 2 * observations.view + 1]),
-        {k: torch.cat([v, v]) for k, v in observations.features.items()}
-        | {"camera": torch.tensor([0, 1]).repeat_interleave(len(who))},
-    )
-    assert same(tracker().associate(twice).labels, twice["camera"])
-
-
-def test_tracks_are_filled_and_the_weak_dropped():
-    observations, _ = people(CROSSING, 60, noise=0.0, hidden=[(0, 20, 25), (1, 4, 60)])
-    tracks = tracker(min_boxes=4).track(observations)
-    assert len(np.unique(tracks.identity)) == 2
-    filled = tracks.select(tracks.observation < 0)
-    assert filled.frame.tolist() == [20, 21, 22, 23, 24, 25]
-    expected = [80 * (frame - 1) / 20 for frame in range(20, 26)]
-    assert filled.box[:, [0, 2]].mean(1) == pytest.approx(expected, abs=0.1)
-    assert not (tracker(min_boxes=4, fill=0.0).track(observations).observation < 0).any()
-
-
-def test_looks_tell_who_goes_on():
-    """Two who stand change places unseen, each in a colour of their own."""
-    paths = [
-        lambda t: np.array([200.0 if t > 1.5 else 150.0, 100.0]),
-        lambda t: np.array([150.0 if t > 1.5 else 200.0, 100.0]),
-    ]
-    observations, who = people(paths, 60, hidden=[(0, 20, 42), (1, 20, 42)])
-    frames = [np.full((200, 400, 3), 90, np.uint8) for _ in range(60)]
-    for row, k in enumerate(who):
-        x1, y1, x2, y2 = observations["box"][row].int().clamp(min=0).tolist()
-        frame = frames[int(observations["frame"][row]) - 1]
-        frame[y1:y2, x1:x2] = [(200, 30, 30), (30, 30, 200)][int(k)]
-    images = Images(frames, observations["frame"].numpy() - 1, observations["box"].numpy())
-    seen = Observations(observations.view, observations.features, images)
-    colour = Color("histogram", slope=8.0, midpoint=0.5)
-    assert not same(tracker().associate(seen).labels, who)
-    assert same(tracker(appearance=[colour]).associate(seen).labels, who)
-
-
-def test_looks_have_to_be_vectors():
-    observations, _ = people(CROSSING, 2)
-    images = Images([np.zeros((9, 9, 3), np.uint8)] * 2, observations["frame"].numpy() - 1)
-    seen = Observations(observations.view, observations.features, images)
-    with pytest.raises(ValueError, match="appearance"):
-        with_looks(seen, [Color("semantic")])
-    with pytest.raises(KeyError, match="images"):
-        with_looks(observations, [Color("histogram")])
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{"passes": 0}, {"patience": -1.0}, {"fill": -1.0}, {"gaps": [0.0]}, {"scorers": []}],
+from mixer_torch.datasets.simulated import Scene, Simulated
+from mixer_torch.metrics.tracking import evaluate_tracks
+from mixer_torch.observations import Observations
+from mixer_torch.scorers import Color, Proximity
+from mixer_torch.tracking import (
+    CameraPath,
+    Joining,
+    Linking,
+    PostProcessing,
+    Tracker,
+    Tracks,
 )
-def test_bad_settings(settings):
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        tracker(**settings)
+
+SCENE = Scene(frames=90, things=8, speed=0.6, clutter=0.3, miss=0.03)
 
 
-def test_boxes_have_to_be_finite():
-    observations, _ = people(CROSSING, 3)
-    box = observations["box"].clone()
-    box[4, 2] = torch.nan
-    with pytest.raises(ValueError, match="box"):
-        tracker().associate(observations.with_features(box=box))
+@pytest.fixture(scope="module")
+def seen():
+    return Simulated(SCENE, 1).load()
 
 
-@pytest.mark.real_data
-def test_better_than_the_trackers_of_today(real_data):
-    """Identities at least as good as the targets, on the shorter two of the real sequences."""
-    from mixer_torch.datasets import MOTChallenge
-    from mixer_torch.io.motchallenge import read_truth
-    from mixer_torch.metrics.tracking import evaluate_tracks
-    from mixer_torch.tracks import Tracks
+@pytest.fixture(scope="module")
+def truth():
+    found = Simulated(replace(SCENE, truth_of_hidden=False), 1, "gt").load()
+    return Tracks.from_labels(found, found["identity"])
 
-    for name, least in (("KITTI-17", 0.75), ("TUD-Stadtmitte", 0.8)):
-        folder = real_data / "mot15" / name
-        observations = MOTChallenge(folder, pixels=False).load()
-        tracks = tracker(min_strength=10.0, smoothing=0.3).track(observations)
-        rows = read_truth(folder / "gt" / "gt.txt")
-        box = np.concatenate([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6]], 1)
-        truth = Tracks(rows[:, 0].astype(int), rows[:, 1].astype(int), box)
-        assert evaluate_tracks(tracks, truth)["IDF1"] > least
+
+def with_features(observations, **features):
+    return observations.with_features(**features)
+
+
+def pairs_of(tracks):
+    """Which observations are of one object, as a set of pairs."""
+    row = tracks.observation >= 0
+    order = np.lexsort((tracks.frame[row], tracks.identity[row]))
+    who, what = tracks.identity[row][order], tracks.observation[row][order]
+    same = who[1:] == who[:-1]
+    return set(zip(what[:-1][same].tolist(), what[1:][same].tolist(), strict=True))
+
+
+def agreement(a, b):
+    """Share of the successive pairs of either result that both have."""
+    first, second = pairs_of(a), pairs_of(b)
+    return len(first & second) / max(len(first | second), 1)
+
+
+@pytest.mark.parametrize("online", [False, True], ids=["offline", "online"])
+def test_a_scene_is_followed(seen, truth, online):
+    found = evaluate_tracks(Tracker(online=online).track(seen), truth)
+    assert found["IDF1"] > 80
+    assert found["HOTA"] > 70
+
+
+def test_every_observation_has_a_label_and_what_was_measured_is_told(seen):
+    answer = Tracker().associate(seen)
+    assert len(answer.labels) == len(seen)
+    assert int(answer.labels.min()) == 0
+    assert "camera" in str(answer.stats["measured"][0])
+    key = torch.stack([answer.labels, seen["frame"]])
+    assert len(key.unique(dim=1).T) == len(seen)
+
+
+def test_the_same_input_gives_the_same_tracks_in_any_order(seen):
+    order = torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))
+    features = {name: value[order] for name, value in seen.features.items()}
+    mixed = Observations(seen.view[order], features)
+    a, b = Tracker().track(seen), Tracker().track(mixed)
+    back = replace(b, observation=np.append(order.numpy(), -1)[b.observation])
+    assert agreement(a, back) > 0.99
+
+
+SCALES = {
+    "shifted": lambda c: 0.9 * c - 0.05,
+    "percents": lambda c: 100 * c,
+    "logits": torch.logit,
+}
+
+
+@pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES)
+def test_the_scale_of_scores_does_not_matter(seen, scale):
+    other = seen.with_features(confidence=scale(seen["confidence"].double()))
+    assert agreement(Tracker().track(seen), Tracker().track(other)) > 0.95
+
+
+def test_scores_that_are_all_alike_still_give_tracks(seen, truth):
+    alike = seen.with_features(confidence=torch.ones(len(seen)))
+    assert evaluate_tracks(Tracker().track(alike), truth)["IDF1"] > 70
+
+
+@pytest.mark.parametrize("factor", [10, 1e-3])
+def test_the_scale_of_boxes_does_not_matter(seen, factor):
+    other = seen.with_features(box=(factor * seen["box"].double()).float())
+    a, b = Tracker().track(seen), Tracker().track(other)
+    assert agreement(a, b) > 0.99
+    assert len(a) == pytest.approx(len(b), rel=0.02)
+
+
+def test_half_the_frame_rate_follows_the_same_things(truth):
+    scene = replace(SCENE, frames=180)
+    seen = Simulated(scene, 1).load()
+    half = seen["frame"] % 2 == 1
+    features = {name: value[half] for name, value in seen.features.items()}
+    found = Simulated(replace(scene, truth_of_hidden=False), 1, "gt").load()
+    kept = found["frame"] % 2 == 1
+    fewer = Tracks.from_labels(found, found["identity"]).select(kept.numpy().nonzero()[0])
+    part = Observations(seen.view[half], features)
+    whole = evaluate_tracks(Tracker().track(seen), Tracks.from_labels(found, found["identity"]))
+    assert (
+        evaluate_tracks(Tracker(post=PostProcessing(fill=0)).track(part), fewer)["IDF1"]
+        > whole["IDF1"] - 10
+    )
+
+
+def test_online_never_changes_what_it_said(seen):
+    """The first half of a sequence gives the same links whether the second comes or not."""
+    early = seen["frame"] <= 45
+    features = {name: value[early] for name, value in seen.features.items()}
+    part = Observations(seen.view[early], features)
+    tracker = Tracker(online=True)
+    a, b = tracker.associate(seen).labels[early], tracker.associate(part).labels
+    assert (torch.stack([a, b]).unique(dim=1).shape[1]) == len(b.unique())
+    assert len(tracker.associate(seen).stats["latency"]) == 90
+
+
+def test_categories_are_never_joined_unless_asked(seen):
+    kind = seen["frame"] % 2
+    mixed = seen.with_features(category=kind)
+    for across in (False, True):
+        labels = Tracker(across_categories=across).associate(mixed).labels
+        several = [len(kind[labels == k].unique()) for k in labels.unique()]
+        assert (max(several) > 1) == across
+
+
+def test_cameras_are_followed_apart(seen):
+    two = Observations(
+        torch.cat([seen.view, seen.view + 1000]),
+        {name: torch.cat([value, value]) for name, value in seen.features.items()},
+    ).with_features(camera=torch.arange(2).repeat_interleave(len(seen)))
+    tracks = Tracker().track(two)
+    assert set(np.unique(tracks.camera)) == {0, 1}
+    first, second = (set(tracks.identity[tracks.camera == k]) for k in (0, 1))
+    assert not first & second
+    assert len(first) == len(second)
+
+
+def test_a_known_path_of_the_camera_is_used():
+    scene = replace(SCENE, pan=12.0, clutter=0.0)
+    simulated = Simulated(scene, 2)
+    seen, path = simulated.load(), simulated.camera_path
+    middle = np.array([960.0, 540.0])
+    transform = np.zeros((scene.frames, 2, 3))
+    transform[:, 0, 0] = transform[:, 1, 1] = 1 / path[:, 0]
+    transform[:, :, 2] = middle - (middle + path[:, 1:]) / path[:, :1]
+    frames = np.arange(1, scene.frames + 1)
+    known = CameraPath(np.zeros(scene.frames, dtype=int), frames, transform)
+    answer = Tracker(camera=known).associate(seen)
+    found = answer.stats["measured"][0]
+    scale = path[1:, 0] / path[:-1, 0]
+    shift = path[1:, 1:] - scale[:, None] * path[:-1, 1:] + (1 - scale)[:, None] * middle
+    assert found.camera[1:, 0] == pytest.approx(scale)
+    assert found.camera[1:, 1:] * found.unit == pytest.approx(shift, abs=1e-6)
+
+
+def test_a_path_is_read_from_a_file(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("1,1,0,0,0,1,0\n2,1,0,5,0,1,-3\n")
+    path = CameraPath.load(file)
+    assert path.transform[1, :, 2].tolist() == [5, -3]
+    file.write_text("1,1,0,0,0,1,0\n2,0,0,5,0,0,-3\n")
+    with pytest.raises(ValueError, match=r"line 2: the matrix cannot be inverted"):
+        CameraPath.load(file)
+
+
+def test_further_modalities_are_scorers(seen):
+    """Positions that tell everything apart make links that boxes alone do not."""
+    place = torch.stack(
+        [seen["identity"].double() * 50, seen["frame"].double() * 0, seen["frame"].double() * 0], 1
+    )
+    told = seen.with_features(position=place.float())
+    plain = Tracker(joining=Joining(longest_gap=0)).associate(told)
+    more = Tracker(joining=Joining(longest_gap=0), scorers=[Proximity()]).associate(told)
+    assert more.num_clusters <= plain.num_clusters
+    with pytest.raises(KeyError, match="position"):
+        Tracker(scorers=[Proximity()]).associate(seen)
+    with pytest.raises((KeyError, ValueError), match="images"):
+        Tracker(scorers=[Color()]).associate(seen)
+
+
+@pytest.mark.parametrize("online", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_next_to_nothing(seen, count, online):
+    features = {name: value[:count] for name, value in seen.features.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        tracker = Tracker(online=online, frame_rate=25)
+        tracks = tracker.track(Observations(seen.view[:count], features))
+    assert len(tracks) <= count
+
+
+def test_a_warning_where_everything_is_clutter(seen):
+    with pytest.warns(UserWarning, match="no track"):
+        assert not len(Tracker(Linking(birth_odds=50.0)).track(seen))
+
+
+def test_boxes_that_were_not_measured_are_on_no_track(seen):
+    box = seen["box"].clone()
+    box[::7] = torch.nan
+    tracks = Tracker().track(seen.with_features(box=box))
+    assert not set(tracks.observation) & set(range(0, len(seen), 7))
+
+
+def test_errors_name_what_is_wrong(seen):
+    with pytest.raises(ValueError, match="frame_rate: expected a positive number, got 0"):
+        Tracker(frame_rate=0)
+    without = {name: value for name, value in seen.features.items() if name != "time"}
+    with pytest.raises(ValueError, match=r"frame_rate.*Tracker\(frame_rate=30\)"):
+        Tracker().track(Observations(seen.view, without))
+    assert len(Tracker(frame_rate=25).track(Observations(seen.view, without)))
+    box = seen["box"].clone()
+    box[3] = box[3, [2, 3, 0, 1]]
+    with pytest.raises(ValueError, match="box: expected x1 < x2"):
+        Tracker().track(seen.with_features(box=box))
+    with pytest.raises(ValueError, match="frame_rate"):
+        Tracker().update(None)
+    with pytest.raises(FileNotFoundError, match="absent"):
+        Tracker(weights="absent.safetensors")
