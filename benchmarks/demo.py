@@ -1,30 +1,32 @@
-"""Time and memory of the main job on the parking lot: score four modalities, then solve.
+"""Time and memory of `mixer demo`: score four modalities on the parking lot, then solve.
 
 The peer is the obvious way to match SIFT descriptors: one OpenCV matcher call for each pair of
 crops, on a sample of the pairs, in the same run. Rows go to rows.csv, the table is made from them.
+demo.jpg, beside them, is the picture in the README.
 
-    python benchmarks/demo.py --out out/benchmarks/demo
+    mixer bench demo --out out/benchmarks/demo
 """
 
-import argparse
-import csv
 import resource
 import time
 from functools import partial
-from pathlib import Path
 
 import cv2
 import torch
 
 import mixer_torch as mx
+from mixer_torch.benchmarks import results
 from mixer_torch.datasets import ParkingLot
 from mixer_torch.metrics.clustering import evaluate
+from mixer_torch.plots import frames_figure
 from mixer_torch.scorers import SIFT, Color, IoU, Proximity
+from mixer_torch.scorers.calibration import PiecewiseLinear
 
 COLUMNS = ("stage", "seconds", "pairs_per_second", "peak_memory_mb")
+PICTURE_WIDTH = 1500  # pixels
 
 
-def peak_memory_mb() -> float:
+def peak_memory_mb():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
@@ -32,9 +34,8 @@ def measure(stage, rows, work, pairs=0):
     start = time.perf_counter()
     result = work()
     seconds = time.perf_counter() - start
-    rows.append(
-        dict(zip(COLUMNS, (stage, seconds, pairs / seconds, peak_memory_mb()), strict=True))
-    )
+    values = (stage, seconds, pairs / seconds, peak_memory_mb())
+    rows.append(dict(zip(COLUMNS, values, strict=True)))
     return result
 
 
@@ -59,11 +60,13 @@ def match_one_by_one(descriptors, pairs, ratio=0.8):
 
 
 def run(rows, frames):
-    """Fill the rows; how many observations, and the F1 of the answer."""
+    """Fill the rows; the observations and the answer."""
     observations = measure("place cars and detect", rows, ParkingLot(num_frames=frames).load)
     measure("render", rows, lambda: sum(1 for _ in observations.images.crops()))
     pairs = mx.Every()(observations)
-    scores, scorers = [], (IoU(), Proximity(), Color(), SIFT())
+    little = PiecewiseLinear([0, 1], [0.45, 0.55])  # as in configs/parking_lot.yaml
+    color = Color(mode="semantic", calibrator=little)
+    scores, scorers = [], (IoU(), Proximity(), color, SIFT())
     for scorer in scorers:
         name = f"score {scorer.name}"
         describe = partial(scorer.describe, observations)
@@ -82,52 +85,43 @@ def run(rows, frames):
     measure(
         "peer: OpenCV, pair by pair", rows, partial(match_one_by_one, lists, sample), len(sample)
     )
-    metrics = evaluate(association, observations["identity"], observations.view)
-    return len(observations), metrics["f1"]
+    return observations, association
 
 
-def table(path):
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
+def table(rows):
     lines = [
         "| stage | seconds | pairs per second | peak memory so far, MiB |",
         "|---|---|---|---|",
     ]
     for row in rows:
-        rate = float(row["pairs_per_second"])
+        rate = row["pairs_per_second"]
         shown = f"{rate:,.0f}" if rate else ""
         lines.append(
-            f"| {row['stage']} | {float(row['seconds']):.2f} | {shown} "
-            f"| {float(row['peak_memory_mb']):.0f} |"
+            f"| {row['stage']} | {row['seconds']:.2f} | {shown} | {row['peak_memory_mb']:.0f} |"
         )
     ours = next(row for row in rows if row["stage"] == "score SIFT: compare")
     peer = next(row for row in rows if row["stage"].startswith("peer"))
-    ratio = float(ours["pairs_per_second"]) / float(peer["pairs_per_second"])
-    total = sum(float(row["seconds"]) for row in rows if row["stage"].startswith(("score", "sol")))
+    ratio = ours["pairs_per_second"] / peer["pairs_per_second"]
+    total = sum(row["seconds"] for row in rows if row["stage"].startswith(("score", "sol")))
     lines.append(f"\nScoring and solving: {total:.1f} s.")
-    lines.append(f"Matching SIFT in batches: {ratio:.1f} x the peer's rate, same descriptors.")
+    lines.append(f"Matching SIFT in batches: {ratio:.1f} x the peer's rate, same descriptors.\n")
     return "\n".join(lines)
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/demo"))
-    parser.add_argument("--quick", action="store_true", help="20 frames in place of 100")
-    arguments = parser.parse_args(argv)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = []
-    m, f1 = run(rows, 20 if arguments.quick else 100)
-    path = arguments.out / "rows.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    text = table(path)
-    (arguments.out / "table.md").write_text(text + "\n")
-    print(f"{m} observations, {torch.get_num_threads()} threads, F1 {f1:.3f}\n{text}")
+    arguments = results.arguments((__file__, __doc__), argv, "20 frames in place of 100")
+    heading = ""
+    if not arguments.from_rows:
+        rows = []
+        observations, association = run(rows, 20 if arguments.quick else 100)
+        results.write(arguments.out / "rows.csv", COLUMNS, rows)
+        figure = frames_figure(observations, association.labels)
+        dpi = PICTURE_WIDTH / figure.get_figwidth()
+        figure.savefig(arguments.out / "demo.jpg", dpi=dpi, pil_kwargs={"quality": 85})
+        f1 = evaluate(association, observations["identity"], observations.view)["f1"]
+        heading = f"{results.machine()}: {len(observations)} observations, F1 {f1:.3f}\n"
+    return heading + results.tabled(arguments.out, table)
 
 
 if __name__ == "__main__":
-    main()
+    print(main())

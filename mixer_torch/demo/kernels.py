@@ -1,234 +1,55 @@
 """The inner loops of the parking lot's renderer, compiled by numba: one core, deterministic.
 
-Arrays are those of Mesh, Atlas, Ground and Light; triangles are told by number. Nothing here is
-checked: shapes and types are the business of the functions that call.
+Arrays are those of Mesh, Atlas, Light and Camera. Nothing here is checked: shapes and types are the
+business of the functions that call.
 """
+# mypy: ignore-errors
 
 from __future__ import annotations
 
 import math
-from typing import no_type_check
+from inspect import unwrap
 
 from numba import njit
 
-from mixer_torch.demo.textures import CHROME, CUT, GLASS, MATTE
+from mixer_torch.demo.textures import LEVELS, MATTE
 
-SCENERY, FOLIAGE = -1, -2  # owners that are no car; foliage takes no hard shadow
-SUN_DEPTH = 1000.0  # added to depths along the sun, so that they are positive
-SHADOW_CELL = 0.05  # metres
-SHADOW_SLACK = 0.15  # metres by which a surface may lie behind itself in the depth map
-GRAIN_CELL = 0.012  # metres
-HORIZON = 90.0  # metres to which the ground is drawn
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _bounds(screen, a, b, c, height, width):
-    """Rows and columns whose pixel centres a triangle may cover: first and one past the last."""
-    ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
-    cx, cy = screen[c, 0], screen[c, 1]
-    top = max(0, math.ceil(min(ay, by, cy) - 0.5))
-    bottom = min(height, math.floor(max(ay, by, cy) - 0.5) + 1)
-    left = max(0, math.ceil(min(ax, bx, cx) - 0.5))
-    right = min(width, math.floor(max(ax, bx, cx) - 0.5) + 1)
-    return top, bottom, left, right
+SCENERY, FOLIAGE, GROUND = -1, -2, -3  # owners of triangles that are no car's
+PANORAMA = (384, 1536)  # rows and columns of what is far away
+SHADOW_CELL = 0.05  # metres a pixel of the sun's depth map
+SHADOW_SLACK = 0.15  # metres by which a surface may lie behind itself in that map
+GROUND_CELL = 0.04  # metres a texel of the ground
+GRAIN_CELL = 0.012  # metres a cell of the asphalt's grain
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _twice_area(screen, a, b, c):
-    """Signed; 0 for what is not to be drawn: a corner behind the camera, or no area."""
-    if screen[a, 2] <= 0.0 or screen[b, 2] <= 0.0 or screen[c, 2] <= 0.0:
-        return 0.0
-    ab = (screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1])
-    ac = (screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1])
-    area = ab[0] * ac[1] - ab[1] * ac[0]
-    return area if abs(area) > 1e-9 else 0.0
+def compiled(function):
+    """Compile when first called. Checks of types, which tests put around it, are taken off."""
+    return njit(cache=True, error_model="numpy")(unwrap(function))
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _flat_weights(screen, a, b, c, area, x, y):
-    """Barycentric coordinates of a pixel in the plane of the image; negative outside."""
-    ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
-    cx, cy = screen[c, 0], screen[c, 1]
-    wa = ((bx - x) * (cy - y) - (by - y) * (cx - x)) / area
-    wb = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) / area
+@compiled
+def _cross(a, b, c):
+    """Twice the signed area of a triangle in the plane."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+@compiled
+def _flat_weights(a, b, c, area, x, y):
+    """Barycentric coordinates of a pixel in the image; negative outside of the triangle."""
+    wa, wb = _cross((x, y), b, c) / area, _cross((x, y), c, a) / area
     return wa, wb, 1.0 - wa - wb
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _is_hole(texels, table, tile, uv, t, screen, a, b, c, x, y):
-    """Whether a triangle's texture is cut out at a pixel."""
-    wa, wb, wc = _weights(screen, a, b, c, x, y)
-    u = wa * uv[t, 0, 0] + wb * uv[t, 1, 0] + wc * uv[t, 2, 0]
-    v = wa * uv[t, 0, 1] + wb * uv[t, 1, 1] + wc * uv[t, 2, 1]
-    rows, columns = table[tile, 0, 1], table[tile, 0, 2]
-    i = min(rows - 1, max(0, int(v * rows)))
-    j = min(columns - 1, max(0, int(u * columns)))
-    return texels[table[tile, 0, 0] + i * columns + j, 3] == CUT
+@compiled
+def _weights(a, b, c, area, x, y):
+    """The same on the triangle in space: inverse depth, not depth, is linear in the image."""
+    wa, wb, wc = _flat_weights(a, b, c, area, x, y)
+    wa, wb, wc = wa * a[2], wb * b[2], wc * c[2]
+    total = wa + wb + wc
+    return wa / total, wb / total, wc / total
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def rasterise(screen, faces, uv, tile, cut, table, texels, nearest, face):
-    """The z-buffer: nearest inverse depth and its triangle, of each pixel."""
-    height, width = nearest.shape
-    for t in range(len(faces)):
-        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-        area = _twice_area(screen, a, b, c)
-        if area == 0.0:
-            continue
-        top, bottom, left, right = _bounds(screen, a, b, c, height, width)
-        for i in range(top, bottom):
-            for j in range(left, right):
-                wa, wb, wc = _flat_weights(screen, a, b, c, area, j + 0.5, i + 0.5)
-                if wa < 0.0 or wb < 0.0 or wc < 0.0:
-                    continue
-                z = wa * screen[a, 2] + wb * screen[b, 2] + wc * screen[c, 2]
-                if z <= nearest[i, j]:
-                    continue
-                k = tile[t]
-                if cut[k] and _is_hole(texels, table, k, uv, t, screen, a, b, c, j + 0.5, i + 0.5):
-                    continue
-                nearest[i, j] = z
-                face[i, j] = t
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def coverage(screen, faces, owner, stamp, covered):
-    """Counts a pixel once for a car: its triangles follow one another, and leave their stamp."""
-    height, width = stamp.shape
-    for t in range(len(faces)):
-        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-        area = _twice_area(screen, a, b, c)
-        if area == 0.0 or owner[t] < 0:
-            continue
-        top, bottom, left, right = _bounds(screen, a, b, c, height, width)
-        for i in range(top, bottom):
-            for j in range(left, right):
-                wa, wb, wc = _flat_weights(screen, a, b, c, area, j + 0.5, i + 0.5)
-                if wa >= 0.0 and wb >= 0.0 and wc >= 0.0 and stamp[i, j] != owner[t]:
-                    stamp[i, j] = owner[t]
-                    covered[owner[t]] += 1
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _sample(table, texels, tile, level, u, v):
-    """Bilinear linear-light RGB (gamma 2) and the nearest material."""
-    offset, h, w = table[tile, level, 0], table[tile, level, 1], table[tile, level, 2]
-    x = min(max(u * w - 0.5, 0.0), w - 1.001)
-    y = min(max(v * h - 0.5, 0.0), h - 1.001)
-    j, i = int(x), int(y)
-    fx, fy = x - j, y - i
-    j1, i1 = min(j + 1, w - 1), min(i + 1, h - 1)
-    a, b = offset + i * w + j, offset + i * w + j1
-    c, d = offset + i1 * w + j, offset + i1 * w + j1
-    wa, wb = (1 - fx) * (1 - fy) / 255.0, fx * (1 - fy) / 255.0
-    wc, wd = (1 - fx) * fy / 255.0, fx * fy / 255.0
-    red = wa * texels[a, 0] + wb * texels[b, 0] + wc * texels[c, 0] + wd * texels[d, 0]
-    green = wa * texels[a, 1] + wb * texels[b, 1] + wc * texels[c, 1] + wd * texels[d, 1]
-    blue = wa * texels[a, 2] + wb * texels[b, 2] + wc * texels[c, 2] + wd * texels[d, 2]
-    row, column = (i if fy < 0.5 else i1), (j if fx < 0.5 else j1)
-    material = texels[offset + row * w + column, 3]
-    return red * red, green * green, blue * blue, material
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _far(panorama, dx, dy, dz):
-    """What is seen far away in a direction; rows are spaced by sqrt(|z|), dense at the horizon."""
-    rows, columns, _ = panorama.shape
-    lift = math.copysign(math.sqrt(abs(dz)), dz)
-    y = min(max((0.5 - 0.5 * lift) * rows - 0.5, 0.0), rows - 1.001)
-    x = (math.atan2(dy, dx) / (2.0 * math.pi) + 0.5) * columns - 0.5
-    i, j = int(y), math.floor(x)
-    fy, fx = y - i, x - j
-    j0, j1 = j % columns, (j + 1) % columns
-    wa, wb, wc, wd = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    return (
-        wa * panorama[i, j0, 0] + wb * panorama[i, j1, 0]
-        + wc * panorama[i + 1, j0, 0] + wd * panorama[i + 1, j1, 0],
-        wa * panorama[i, j0, 1] + wb * panorama[i, j1, 1]
-        + wc * panorama[i + 1, j0, 1] + wd * panorama[i + 1, j1, 1],
-        wa * panorama[i, j0, 2] + wb * panorama[i, j1, 2]
-        + wc * panorama[i + 1, j0, 2] + wd * panorama[i + 1, j1, 2],
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _sunlit(shadow, axes, corner, x, y, z):
-    """Fraction of the sun that arrives at a point, by bilinear comparison with the depth map."""
-    rows, columns = shadow.shape
-    u = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner[0]) / SHADOW_CELL - 0.5
-    v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner[1]) / SHADOW_CELL - 0.5
-    depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z + SUN_DEPTH + SHADOW_SLACK
-    j, i = math.floor(u), math.floor(v)
-    if i < 0 or j < 0 or i >= rows - 1 or j >= columns - 1:
-        return 1.0
-    fx, fy = u - j, v - i
-    top = (1 - fx) * (shadow[i, j] <= depth) + fx * (shadow[i, j + 1] <= depth)
-    low = (1 - fx) * (shadow[i + 1, j] <= depth) + fx * (shadow[i + 1, j + 1] <= depth)
-    return (1 - fy) * top + fy * low
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _surface(albedo, material, normal, ray, height, lit, light, panorama):
-    """Outgoing light of a point: diffuse, and by material a coat that mirrors sky and sun.
-
-    Rows of light: direction of the sun, its colour, the sky's, what comes from below.
-    """
-    nx, ny, nz = normal
-    facing = nx * light[0, 0] + ny * light[0, 1] + nz * light[0, 2]
-    diffuse = max(facing, 0.0) * lit
-    up = 0.5 + 0.5 * nz
-    open_sky = 0.35 + 0.65 * min(1.0, max(0.0, height / 0.7))
-    sky, below = open_sky * up, open_sky * (1.0 - up)
-    red = albedo[0] * (diffuse * light[1, 0] + sky * light[2, 0] + below * light[3, 0])
-    green = albedo[1] * (diffuse * light[1, 1] + sky * light[2, 1] + below * light[3, 1])
-    blue = albedo[2] * (diffuse * light[1, 2] + sky * light[2, 2] + below * light[3, 2])
-    if material == MATTE:
-        return red, green, blue
-    base, shine = 0.045, 6.0
-    if material == GLASS:
-        base, shine = 0.09, 14.0
-    if material == CHROME:
-        base, shine = 0.45, 10.0
-    cosine = -(nx * ray[0] + ny * ray[1] + nz * ray[2])
-    grazing = 1.0 - min(1.0, max(0.0, cosine))
-    mirror = base + 0.8 * (1.0 - base) * grazing**5
-    rx, ry, rz = ray[0] + 2 * cosine * nx, ray[1] + 2 * cosine * ny, ray[2] + 2 * cosine * nz
-    far = _far(panorama, rx, ry, rz)
-    spark = max(0.0, rx * light[0, 0] + ry * light[0, 1] + rz * light[0, 2])
-    glint = lit * shine * mirror * (spark**350 + 0.02 * spark**24)
-    return (
-        red * (1.0 - mirror) + mirror * far[0] + glint * light[1, 0],
-        green * (1.0 - mirror) + mirror * far[1] + glint * light[1, 1],
-        blue * (1.0 - mirror) + mirror * far[2] + glint * light[1, 2],
-    )
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _ground(table, texels, origin, cell, grain, x, y, footprint):
-    """Albedo of the ground: the painted lot, coarser with distance, and the grain of asphalt."""
-    level = min(max(int(math.log2(max(footprint / cell, 1e-6)) + 0.5), 0), table.shape[1] - 1)
-    h, w = table[0, 0, 1], table[0, 0, 2]
-    u, v = (x - origin[0]) / (cell * w), (origin[1] - y) / (cell * h)
-    red, green, blue, _ = _sample(table, texels, 0, level, u, v)
-    n = grain.shape[0]
-    fade = max(0.0, 1.0 - footprint / 0.05)
-    rough = 1.0 + fade * grain[math.floor(y / GRAIN_CELL) % n, math.floor(x / GRAIN_CELL) % n]
-    return red * rough, green * rough, blue * rough
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
+@compiled
 def _mix(rows, a, b, c, weights):
     """The weighted mean of three rows of three."""
     wa, wb, wc = weights
@@ -239,78 +60,156 @@ def _mix(rows, a, b, c, weights):
     )
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _weights(screen, a, b, c, x, y):
-    """Perspective-correct barycentric coordinates of a pixel in a triangle."""
-    ax, ay, bx, by = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1]
-    cx, cy = screen[c, 0], screen[c, 1]
-    wa = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * screen[a, 2]
-    wb = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * screen[b, 2]
-    wc = ((ax - x) * (by - y) - (ay - y) * (bx - x)) * screen[c, 2]
-    total = wa + wb + wc
-    return wa / total, wb / total, wc / total
+@compiled
+def _coordinate(uv, t, weights):
+    """Where on its texture a point of a triangle lies."""
+    wa, wb, wc = weights
+    u = wa * uv[t, 0, 0] + wb * uv[t, 1, 0] + wc * uv[t, 2, 0]
+    v = wa * uv[t, 0, 1] + wb * uv[t, 1, 1] + wc * uv[t, 2, 1]
+    return u, v
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def _ray(camera, height, width, i, j):
-    """Unit vector through a pixel; camera: the rows of its axes, its place, its focal length."""
-    lx, ly = (j + 0.5 - width / 2) / camera[4, 0], (i + 0.5 - height / 2) / camera[4, 0]
-    scale = 1.0 / math.sqrt(lx * lx + ly * ly + 1.0)
-    return _mix(camera, 0, 1, 2, (lx * scale, ly * scale, scale))
+@compiled
+def _gloss(table, texels, tile, level, u, v):
+    """Of the nearest texel."""
+    rows, columns = table[tile, level, 1], table[tile, level, 2]
+    i = min(rows - 1, max(0, int(v * rows)))
+    j = min(columns - 1, max(0, int(u * columns)))
+    return texels[table[tile, level, 0] + i * columns + j, 3]
 
 
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def shade_faces(face, screen, camera, mesh, atlas, shadow, light, panorama, image):
-    """Light of the pixels that show a triangle."""
+@compiled
+def rasterise(screen, faces, uv, tile, owner, table, texels, nearest, face):
+    """The z-buffer: nearest inverse depth and its triangle, of each pixel."""
+    height, width = nearest.shape
+    for t in range(len(faces)):
+        a, b, c = screen[faces[t, 0]], screen[faces[t, 1]], screen[faces[t, 2]]
+        area = _cross(a, b, c)
+        if min(a[2], b[2], c[2]) <= 0.0 or abs(area) < 1e-9:
+            continue  # a corner behind the camera, or a triangle seen from its edge
+        top = max(0, math.ceil(min(a[1], b[1], c[1]) - 0.5))
+        bottom = min(height, math.floor(max(a[1], b[1], c[1]) - 0.5) + 1)
+        left = max(0, math.ceil(min(a[0], b[0], c[0]) - 0.5))
+        right = min(width, math.floor(max(a[0], b[0], c[0]) - 0.5) + 1)
+        for i in range(top, bottom):
+            for j in range(left, right):
+                wa, wb, wc = _flat_weights(a, b, c, area, j + 0.5, i + 0.5)
+                near = wa * a[2] + wb * b[2] + wc * c[2]
+                if wa < 0.0 or wb < 0.0 or wc < 0.0 or near <= nearest[i, j]:
+                    continue
+                if owner[t] == FOLIAGE:
+                    weights = _weights(a, b, c, area, j + 0.5, i + 0.5)
+                    u, v = _coordinate(uv, t, weights)
+                    if _gloss(table, texels, tile[t], 0, u, v) < MATTE // 2:
+                        continue
+                nearest[i, j], face[i, j] = near, t
+
+
+@compiled
+def _channel(texels, first, columns, fx, fy, k):
+    upper = (1 - fx) * texels[first, k] + fx * texels[first + 1, k]
+    first += columns
+    lower = (1 - fx) * texels[first, k] + fx * texels[first + 1, k]
+    return (((1 - fy) * upper + fy * lower) / 255.0) ** 2
+
+
+@compiled
+def _sample(texels, first, rows, columns, u, v):
+    """Linear RGB by bilinear interpolation of a texture that holds 255 times its square root."""
+    x = min(max(u * columns - 0.5, 0.0), columns - 1.001)
+    y = min(max(v * rows - 0.5, 0.0), rows - 1.001)
+    j, i = int(x), int(y)
+    first += i * columns + j
+    return (
+        _channel(texels, first, columns, x - j, y - i, 0),
+        _channel(texels, first, columns, x - j, y - i, 1),
+        _channel(texels, first, columns, x - j, y - i, 2),
+    )
+
+
+@compiled
+def _far(panorama, x, y, z):
+    """What is seen far away in a direction; rows are spaced by sqrt(|z|), dense at the horizon."""
+    v = 0.5 - 0.5 * math.copysign(math.sqrt(abs(z)), z)
+    return _sample(panorama, 0, PANORAMA[0], PANORAMA[1], math.atan2(y, x) / math.tau + 0.5, v)
+
+
+@compiled
+def _sunlit(shadow, axes, corner, place):
+    """Fraction of the sun that arrives at a point, by bilinear comparison with the depth map."""
+    x, y, z = place
+    u = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner[0]) / SHADOW_CELL - 0.5
+    v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner[1]) / SHADOW_CELL - 0.5
+    depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z - corner[2] + SHADOW_SLACK
+    j, i = math.floor(u), math.floor(v)
+    fx, fy = u - j, v - i
+    top = (1 - fx) * (shadow[i, j] <= depth) + fx * (shadow[i, j + 1] <= depth)
+    low = (1 - fx) * (shadow[i + 1, j] <= depth) + fx * (shadow[i + 1, j + 1] <= depth)
+    return (1 - fy) * top + fy * low
+
+
+@compiled
+def _surface(albedo, gloss, normal, ray, height, lit, light, panorama, out):
+    """Outgoing light of a point: diffuse, and where it is glossy a coat that mirrors sky and sun.
+
+    Rows of light: direction of the sun, its colour, the sky's, what comes from below.
+    """
+    nx, ny, nz = normal
+    diffuse = lit * max(nx * light[0, 0] + ny * light[0, 1] + nz * light[0, 2], 0.0)
+    open_sky = 0.35 + 0.65 * min(1.0, max(0.0, height / 0.7))  # less of it beneath a car
+    sky, below = open_sky * (0.5 + 0.5 * nz), open_sky * (0.5 - 0.5 * nz)
+    for k in range(3):
+        arriving = diffuse * light[1, k] + sky * light[2, k] + below * light[3, k]
+        out[k] = albedo[k] * arriving
+    if gloss <= MATTE:
+        return
+    base = 0.5 * ((gloss - MATTE) / (255 - MATTE)) ** 2
+    cosine = -(nx * ray[0] + ny * ray[1] + nz * ray[2])
+    # Schlick's approximation of Fresnel's law, and a narrow and a wide lobe of Phong's.
+    mirror = base + 0.8 * (1.0 - base) * (1.0 - min(1.0, max(0.0, cosine))) ** 5
+    rx, ry, rz = ray[0] + 2 * cosine * nx, ray[1] + 2 * cosine * ny, ray[2] + 2 * cosine * nz
+    spark = max(0.0, rx * light[0, 0] + ry * light[0, 1] + rz * light[0, 2])
+    glint = 9.0 * lit * mirror * (spark**350 + 0.02 * spark**24)
+    far = _far(panorama, rx, ry, rz)
+    for k in range(3):
+        out[k] = (1.0 - mirror) * out[k] + mirror * far[k] + glint * light[1, k]
+
+
+@compiled
+def shade(face, screen, camera, mesh, atlas, light, image):
+    """Light of each pixel; rows of camera: its three axes, its place, its focal length."""
     vertices, normals, faces, uv, tile, owner = mesh
-    table, texels, level = atlas
-    depths, axes, corner = shadow
+    table, texels, grain = atlas
+    colours, panorama, shadow, axes, corner = light
     height, width = face.shape
     for i in range(height):
         for j in range(width):
+            lx, ly = (j + 0.5 - width / 2) / camera[4, 0], (i + 0.5 - height / 2) / camera[4, 0]
+            unit = 1.0 / math.sqrt(lx * lx + ly * ly + 1.0)
+            ray = _mix(camera, 0, 1, 2, (lx * unit, ly * unit, unit))
             t = face[i, j]
             if t < 0:
+                image[i, j] = _far(panorama, ray[0], ray[1], ray[2])
                 continue
             a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-            weights = _weights(screen, a, b, c, j + 0.5, i + 0.5)
-            wa, wb, wc = weights
-            u = wa * uv[t, 0, 0] + wb * uv[t, 1, 0] + wc * uv[t, 2, 0]
-            v = wa * uv[t, 0, 1] + wb * uv[t, 1, 1] + wc * uv[t, 2, 1]
-            x, y, z = _mix(vertices, a, b, c, weights)
-            nx, ny, nz = _mix(normals, a, b, c, weights)
-            norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-            normal = (nx / norm, ny / norm, nz / norm)
-            red, green, blue, material = _sample(table, texels, tile[t], level[t], u, v)
-            lit = _sunlit(depths, axes, corner, x, y, z) if owner[t] > FOLIAGE else 1.0
-            ray = _ray(camera, height, width, i, j)
-            low = z if owner[t] >= 0 else 1.0
-            colour = _surface((red, green, blue), material, normal, ray, low, lit, light, panorama)
-            image[i, j, 0], image[i, j, 1], image[i, j, 2] = colour
-
-
-@njit(cache=True, error_model="numpy")
-@no_type_check
-def shade_rest(face, camera, ground, shadow, light, panorama, image):
-    """Light of the pixels that show no triangle: the ground or what is far away."""
-    table, texels, origin, cell, grain = ground
-    depths, axes, corner = shadow
-    height, width = face.shape
-    up = (0.0, 0.0, 1.0)
-    for i in range(height):
-        for j in range(width):
-            if face[i, j] >= 0:
-                continue
-            ray = _ray(camera, height, width, i, j)
-            if ray[2] < -1e-4 and -camera[3, 2] / ray[2] < HORIZON:
-                reach = -camera[3, 2] / ray[2]
-                x, y = camera[3, 0] + reach * ray[0], camera[3, 1] + reach * ray[1]
-                footprint = reach / camera[4, 0] * math.sqrt(reach / camera[3, 2])
-                albedo = _ground(table, texels, origin, cell, grain, x, y, footprint)
-                lit = _sunlit(depths, axes, corner, x, y, 0.0)
-                colour = _surface(albedo, MATTE, up, ray, 1.0, lit, light, panorama)
-            else:
-                colour = _far(panorama, ray[0], ray[1], ray[2])
-            image[i, j, 0], image[i, j, 1], image[i, j, 2] = colour
+            area = _cross(screen[a], screen[b], screen[c])
+            weights = _weights(screen[a], screen[b], screen[c], area, j + 0.5, i + 0.5)
+            u, v = _coordinate(uv, t, weights)
+            place, (nx, ny, nz) = _mix(vertices, a, b, c, weights), _mix(normals, a, b, c, weights)
+            unit = 1.0 / (math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12)
+            k = tile[t]
+            # The level of the texture that has about one texel a pixel.
+            texel = abs(_cross(uv[t, 0], uv[t, 1], uv[t, 2])) * table[k, 0, 1] * table[k, 0, 2]
+            step = math.sqrt(texel / max(abs(area), 1e-3))
+            level = min(max(int(math.log2(max(step, 1e-3)) + 0.25), 0), LEVELS - 1)
+            first, rows, columns = table[k, level, 0], table[k, level, 1], table[k, level, 2]
+            albedo = _sample(texels, first, rows, columns, u, v)
+            if owner[t] == GROUND:
+                n, x, y = len(grain), int(place[0] / GRAIN_CELL), int(place[1] / GRAIN_CELL)
+                rough = 1.0 + max(0.0, 1.0 - step * GROUND_CELL / 0.05) * grain[y % n, x % n]
+                albedo = (albedo[0] * rough, albedo[1] * rough, albedo[2] * rough)
+            lit = 1.0 if owner[t] == FOLIAGE else _sunlit(shadow, axes, corner, place)
+            low = place[2] if owner[t] >= 0 else 1.0
+            gloss = _gloss(table, texels, k, level, u, v)
+            normal = (nx * unit, ny * unit, nz * unit)
+            _surface(albedo, gloss, normal, ray, low, lit, colours, panorama, image[i, j])

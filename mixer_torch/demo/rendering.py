@@ -7,16 +7,14 @@ light of each pixel once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from mixer_torch.demo import kernels
-from mixer_torch.demo.kernels import SHADOW_CELL, SUN_DEPTH
 from mixer_torch.demo.textures import Atlas
 
-NEAR = 0.15
+NEAR = 0.15  # metres; triangles with a corner nearer than that are not drawn
 
 
 @dataclass(frozen=True)
@@ -26,10 +24,10 @@ class Mesh:
     Args:
         vertices: (v, 3).
         normals: (v, 3), unit length.
-        faces: (t, 3) rows of vertices, counter-clockwise seen from outside.
+        faces: (t, 3) rows of vertices.
         uv: (t, 3, 2) texture coordinate of each corner; 0 to 1 from the left and from the top.
         tile: (t,) which texture of the atlas.
-        owner: (t,) the car a triangle belongs to, or the kernels' SCENERY or FOLIAGE.
+        owner: (t,) the car a triangle belongs to, or the kernels' SCENERY, FOLIAGE or GROUND.
     """
 
     vertices: np.ndarray
@@ -40,16 +38,32 @@ class Mesh:
     owner: np.ndarray
 
     @classmethod
+    def grid(cls, points: np.ndarray, uv: np.ndarray, tile: int, owner: int) -> Mesh:
+        """A smooth surface through (rows, columns, 3) points; uv is (rows, columns, 2).
+
+        It faces where the cross product of the rows' direction and the columns' points to.
+        """
+        rows, columns = points.shape[:2]
+        index = np.arange(rows * columns).reshape(rows, columns)
+        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+        faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+        normals = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1)).reshape(-1, 3)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
+        tiles, owners = np.full(len(faces), tile), np.full(len(faces), owner)
+        return cls(points.reshape(-1, 3), normals, faces, uv.reshape(-1, 2)[faces], tiles, owners)
+
+    def select(self, kept: np.ndarray) -> Mesh:
+        """Some of the triangles, by a mask; all vertices stay."""
+        parts = {name: getattr(self, name)[kept] for name in ("faces", "uv", "tile", "owner")}
+        return replace(self, **parts)
+
+    @classmethod
     def join(cls, meshes: list[Mesh]) -> Mesh:
         """All triangles in one mesh, in the order given."""
-        shift = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-        parts = {
-            field.name: np.concatenate([getattr(mesh, field.name) for mesh in meshes])
-            for field in fields(cls)
-            if field.name != "faces"
-        }
-        faces = np.concatenate([mesh.faces + k for mesh, k in zip(meshes, shift, strict=False)])
-        return cls(faces=faces, **parts)
+        first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+        moved = [replace(m, faces=m.faces + k) for m, k in zip(meshes, first, strict=False)]
+        names = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(mesh, name) for mesh in moved]) for name in names))
 
 
 @dataclass(frozen=True)
@@ -71,7 +85,7 @@ class Camera:
     rotation: np.ndarray
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """(n, 3) of column and row in pixels and inverse depth; inverse depth 0 behind NEAR."""
+        """(n, 3) column, row and inverse depth (0 behind the camera) of world points (n, 3)."""
         local = (points - self.position) @ self.rotation.T
         front = local[:, 2] > NEAR
         depth = np.where(front, local[:, 2], 1.0)
@@ -81,106 +95,72 @@ class Camera:
 
     def scaled(self, factor: float) -> Camera:
         """The same view with another number of pixels."""
-        return Camera(
-            round(self.width * factor),
-            round(self.height * factor),
-            self.focal * factor,
-            self.position,
-            self.rotation,
-        )
+        width, height = round(self.width * factor), round(self.height * factor)
+        return replace(self, width=width, height=height, focal=self.focal * factor)
 
 
 @dataclass(frozen=True)
 class Light:
-    """The sun as a direction, what it casts on the scene, and the sky around.
+    """The sun, what it casts on the scene, and the sky around.
 
     Args:
-        direction: (3,) unit vector towards the sun.
-        sun: (3,) linear RGB irradiance of the sun.
-        sky: (3,) linear RGB of the light from above.
-        bounce: (3,) linear RGB of the light from below.
-        panorama: (rows, columns, 3) float32 linear RGB of what is far away, by direction.
+        colours: (4, 3) unit vector towards the sun; linear RGB of the sun's irradiance, of the
+            light from above and of that from below.
+        panorama: What is far away by direction: 255 times the square root of linear RGB, float32,
+            its kernels.PANORAMA rows and columns flattened.
         shadow: Depth map seen from the sun.
         axes: (3, 3) rows: two axes across the sun's rays and the direction itself.
-        corner: (2,) the coordinates, along the two axes, of the shadow map's first pixel.
+        corner: (3,) coordinates along the axes of the map's first pixel, and of its depth 0.
     """
 
-    direction: np.ndarray
-    sun: np.ndarray
-    sky: np.ndarray
-    bounce: np.ndarray
+    colours: np.ndarray
     panorama: np.ndarray
     shadow: np.ndarray
     axes: np.ndarray
     corner: np.ndarray
 
     @classmethod
-    def cast(cls, mesh: Mesh, atlas: Atlas, direction: np.ndarray, **colours: Any) -> Light:
-        """Light that falls on a mesh from a direction: the shadow map is rendered once."""
+    def cast(cls, mesh: Mesh, atlas: Atlas, colours: np.ndarray, panorama: np.ndarray) -> Light:
+        """Light that falls on a mesh: the shadow map is rendered once."""
+        direction = colours[0]
         across = np.cross(direction, [0.0, 0.0, 1.0])
         across /= np.linalg.norm(across)
         axes = np.stack([across, np.cross(across, direction), direction])
         local = mesh.vertices @ axes.T
-        corner = local[:, :2].min(0) - 1.0
-        screen = local.copy()
-        screen[:, :2] = (local[:, :2] - corner) / SHADOW_CELL
-        screen[:, 2] += SUN_DEPTH
-        width, height = np.ceil(screen[:, :2].max(0) + 1.0 / SHADOW_CELL).astype(int)
-        shadow = np.zeros((height, width), np.float32)
-        rasterise(screen.astype(np.float32), mesh, atlas, shadow)
-        return cls(direction, shadow=shadow, axes=axes, corner=corner, **colours)
+        corner = local.min(0) - 1.0  # a metre of room around
+        screen = (local - corner) / [kernels.SHADOW_CELL, kernels.SHADOW_CELL, 1.0]
+        size = np.ceil(screen[:, :2].max(0) + 1.0 / kernels.SHADOW_CELL).astype(int)
+        shadow, _ = rasterise(screen.astype(np.float32), tuple(size[::-1].tolist()), mesh, atlas)
+        return cls(colours, panorama, shadow, axes, corner)
 
 
-def rasterise(screen: np.ndarray, mesh: Mesh, atlas: Atlas, nearest: np.ndarray) -> np.ndarray:
-    """Nearest triangle of each pixel (-1 for none); ``nearest`` receives its inverse depth.
+def rasterise(
+    screen: np.ndarray, shape: tuple[int, int], mesh: Mesh, atlas: Atlas
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw all triangles that lie before the camera.
 
     Args:
         screen: (v, 3) float32 column, row and inverse depth of each vertex; larger is nearer and
             0 is behind the camera.
+        shape: Of the image, rows and columns.
         mesh: Triangles.
-        atlas: Their textures; what is cut out there covers nothing.
-        nearest: (height, width) float32, 0 where nothing has been drawn; written to.
+        atlas: Their textures; the holes of foliage cover nothing.
+
+    Returns:
+        Of each pixel the nearest inverse depth (0 for none) and its triangle (-1).
     """
-    face = np.full(nearest.shape, -1, np.int32)
-    kernels.rasterise(
-        screen, mesh.faces, mesh.uv, mesh.tile, atlas.cut, atlas.table, atlas.texels, nearest, face
-    )
-    return face
+    nearest, face = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    textures = (mesh.uv, mesh.tile, mesh.owner, atlas.table, atlas.texels)
+    kernels.rasterise(screen, mesh.faces, *textures, nearest, face)
+    return nearest, face
 
 
-def coverage(screen: np.ndarray, mesh: Mesh, shape: tuple[int, int], count: int) -> np.ndarray:
-    """Number of pixels inside each of a count of cars' silhouettes, whatever stands in front."""
-    covered = np.zeros(count, np.int64)
-    kernels.coverage(screen, mesh.faces, mesh.owner, np.full(shape, -1, np.int32), covered)
-    return covered
-
-
-def shade(camera: Camera, mesh: Mesh, atlas: Atlas, ground: Any, light: Light) -> np.ndarray:
-    """(height, width, 3) float32 linear RGB of the scene; a ground is what is seen at z = 0."""
+def shade(camera: Camera, mesh: Mesh, atlas: Atlas, light: Light, grain: np.ndarray) -> np.ndarray:
+    """(height, width, 3) float32 linear RGB; grain is a square tile of the asphalt's roughness."""
     screen = camera.project(mesh.vertices)
-    nearest = np.zeros((camera.height, camera.width), np.float32)
-    face = rasterise(screen, mesh, atlas, nearest)
+    _, face = rasterise(screen, (camera.height, camera.width), mesh, atlas)
     image = np.empty((*face.shape, 3), np.float32)
     view = np.concatenate([camera.rotation, camera.position[None], np.full((1, 3), camera.focal)])
-    shadow = (light.shadow, light.axes, light.corner)
-    colours = np.stack([light.direction, light.sun, light.sky, light.bounce])
-    arrays = (mesh.vertices, mesh.normals, mesh.faces, mesh.uv, mesh.tile, mesh.owner)
-    levels = (atlas.table, atlas.texels, _level(screen, mesh, atlas))
-    below = (ground.table, ground.texels, ground.origin, ground.cell, ground.grain)
-    kernels.shade_faces(face, screen, view, arrays, levels, shadow, colours, light.panorama, image)
-    kernels.shade_rest(face, view, below, shadow, colours, light.panorama, image)
+    meshes, lights = (tuple(vars(part).values()) for part in (mesh, light))
+    kernels.shade(face, screen, view, meshes, (atlas.table, atlas.texels, grain), lights, image)
     return image
-
-
-def _level(screen: np.ndarray, mesh: Mesh, atlas: Atlas) -> np.ndarray:
-    """Which level of its texture a triangle is drawn with: about one texel a pixel."""
-    size = atlas.table[mesh.tile, 0, 2:0:-1]
-    texels = mesh.uv * size[:, None]
-    wanted = _twice_area(texels) / np.maximum(_twice_area(screen[mesh.faces, :2]), 1e-3)
-    level = np.rint(0.5 * np.log2(np.maximum(wanted, 1e-6)) - 0.25)
-    return np.clip(level, 0, atlas.table.shape[1] - 1).astype(np.int32)
-
-
-def _twice_area(corners: np.ndarray) -> np.ndarray:
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

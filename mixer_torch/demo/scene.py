@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mixer_torch.demo.cars import BODIES, Body, car_mesh
+from mixer_torch.demo.cars import BODIES, TEXTURES, Body, car_mesh
+from mixer_torch.demo.kernels import GROUND, GROUND_CELL
 from mixer_torch.demo.paint import paint_car
 from mixer_torch.demo.rendering import Light, Mesh
 from mixer_torch.demo.surroundings import panorama, surroundings
-from mixer_torch.demo.textures import MATTE, Atlas, Canvas, blotches
+from mixer_torch.demo.textures import MATTE, Atlas, Canvas, smooth_noise
 
 BAY_WIDTH, BAY_DEPTH, AISLE = 2.5, 5.0, 6.4  # metres
-GROUND_CELL = 0.04
 MARGIN = 9.0  # of painted ground beyond the outer rows, metres
-TWINS = 3
-COLOURS = {
-    "white": (236, 236, 232),
-    "silver": (176, 179, 181),
-    "grey": (104, 108, 112),
-    "black": (24, 24, 27),
-    "red": (158, 20, 24),
-    "blue": (28, 58, 138),
-    "green": (32, 92, 56),
-    "orange": (214, 98, 22),
-    "beige": (196, 180, 148),
-    "yellow": (220, 180, 40),
+SUN_HEIGHT = math.radians(36)
+TWINS = 3  # cars beside the first that are of its model and colour
+LINES = (205, 205, 200)
+COLOURS = {  # of cars, and the share of cars that have them
+    "white": (236, 236, 232, 0.22),
+    "silver": (176, 179, 181, 0.15),
+    "grey": (104, 108, 112, 0.13),
+    "black": (24, 24, 27, 0.16),
+    "red": (158, 20, 24, 0.11),
+    "blue": (28, 58, 138, 0.10),
+    "green": (32, 92, 56, 0.04),
+    "orange": (214, 98, 22, 0.04),
+    "beige": (196, 180, 148, 0.03),
+    "yellow": (220, 180, 40, 0.02),
 }
-SHARES = (0.22, 0.15, 0.13, 0.16, 0.11, 0.10, 0.04, 0.04, 0.03, 0.02)
 
 
 @dataclass(frozen=True)
@@ -50,33 +51,14 @@ class ParkedCar:
 
 
 @dataclass(frozen=True)
-class Ground:
-    """The plane z = 0 as a texture.
-
-    Args:
-        table: As :class:`Atlas`, of the one texture.
-        texels: As :class:`Atlas`.
-        origin: (2,) world x and y of the texture's upper left corner.
-        cell: Metres a texel.
-        grain: Square tile of fine relative brightness.
-    """
-
-    table: np.ndarray
-    texels: np.ndarray
-    origin: np.ndarray
-    cell: float
-    grain: np.ndarray
-
-
-@dataclass(frozen=True)
 class Scene:
-    """Everything that stands still: cars, triangles, textures, ground and light."""
+    """Everything that stands still: cars, triangles, textures, light, the asphalt's grain."""
 
     cars: tuple[ParkedCar, ...]
     mesh: Mesh
     atlas: Atlas
-    ground: Ground
     light: Light
+    grain: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -111,15 +93,11 @@ class Layout:
         along = (np.arange(self.bays) - (self.bays - 1) / 2) * BAY_WIDTH
         across = (np.arange(self.end_bays) - (self.end_bays - 1) / 2) * BAY_WIDTH
         inner, outer = BAY_DEPTH / 2, 1.5 * BAY_DEPTH + AISLE
-        end = self.half_size[0] - BAY_DEPTH / 2
-        up, down = math.pi / 2, -math.pi / 2
-        rows = [
-            (x, y, facing)
-            for y, facing in ((outer, down), (inner, up), (-inner, down), (-outer, up))
-            for x in along
-        ]
-        ends = [(x, y, facing) for x, facing in ((-end, 0.0), (end, math.pi)) for y in across]
-        return np.array(rows + ends)
+        end, up, down = self.half_size[0] - BAY_DEPTH / 2, math.pi / 2, -math.pi / 2
+        rows = ((outer, down), (inner, up), (-inner, down), (-outer, up))
+        places = [(x, y, facing) for y, facing in rows for x in along]
+        places += [(x, y, facing) for x, facing in ((-end, 0.0), (end, math.pi)) for y in across]
+        return np.array(places)
 
 
 def layout_for(num_cars: int) -> Layout:
@@ -127,159 +105,113 @@ def layout_for(num_cars: int) -> Layout:
     return Layout(max(2, math.ceil((num_cars + 3 - 2 * Layout.end_bays) / 4)))
 
 
-def build_scene(num_cars: int, sun_height: float, harshness: float, seed: int) -> Scene:
+def build_scene(num_cars: int, harshness: float, seed: int) -> Scene:
     """A lot from a seed.
 
     Args:
         num_cars: Number of parked cars.
-        sun_height: Elevation of the sun, radians.
         harshness: Strength of the sun relative to the sky; 1 is a clear day.
         seed: Of every draw.
     """
     generator = np.random.default_rng([seed, 1])
     layout = layout_for(num_cars)
     cars = park(layout, num_cars, generator)
-    meshes: list[Mesh] = []
-    textures: list[np.ndarray] = []
+    meshes, textures = [_ground(layout)], [_paint_ground(layout, cars, generator)]
     for number, car in enumerate(cars):
-        meshes.append(_place(car, number, len(textures)))
-        textures += paint_car(car.body, COLOURS[car.colour], generator)
-    around, more = surroundings(layout.half_size, layout.places(), len(textures), generator)
-    mesh = Mesh.join([*meshes, around])
-    atlas = Atlas.pack(textures + more)
-    ground = paint_ground(layout, cars, generator)
-    return Scene(cars, mesh, atlas, ground, _light(mesh, atlas, sun_height, harshness, generator))
+        meshes.append(_placed(car, car_mesh(car.body, number, 1 + number * len(TEXTURES))))
+        textures += paint_car(car.body, COLOURS[car.colour][:3], generator)
+    around, more = surroundings(layout.half_size, len(textures), generator)
+    mesh, atlas = Mesh.join(meshes + around), Atlas.pack(textures + more)
+    grain = 0.17 * smooth_noise(generator, (256, 256), 1)
+    grain += 0.07 * smooth_noise(generator, (256, 256), 4)
+    return Scene(cars, mesh, atlas, _light(mesh, atlas, harshness, generator), grain)
 
 
 def park(layout: Layout, num_cars: int, generator: np.random.Generator) -> tuple[ParkedCar, ...]:
     """Cars in random bays, most nose first, none quite straight; a few are twins."""
-    places = layout.places()
-    bays = generator.permutation(len(places))[:num_cars]
-    names = list(COLOURS)
+    places, names = layout.places(), list(COLOURS)
+    shares = [body.share for body in BODIES], [share for *_, share in COLOURS.values()]
     cars: list[ParkedCar] = []
-    for bay in bays:
-        body = BODIES[generator.choice(len(BODIES), p=[0.2, 0.14, 0.2, 0.12, 0.16, 0.12, 0.06])]
-        colour = names[generator.choice(len(names), p=SHARES)]
+    for x, y, aisle in places[generator.permutation(len(places))[:num_cars]]:
+        body = BODIES[generator.choice(len(BODIES), p=shares[0])]
+        colour = names[generator.choice(len(names), p=shares[1])]
         if 0 < len(cars) <= TWINS:
             body, colour = cars[0].body, cars[0].colour
-        x, y, aisle = places[bay]
         heading = aisle + (math.pi if generator.random() < 0.55 else 0.0)
-        offset = generator.normal(0, [0.12, 0.18])
-        turned = heading + generator.normal(0, 0.025)
-        cars.append(ParkedCar(body, colour, np.array([x, y]) + offset, turned))
+        position = np.array([x, y]) + generator.normal(0, [0.12, 0.18])
+        cars.append(ParkedCar(body, colour, position, heading + generator.normal(0, 0.025)))
     return tuple(cars[i] for i in generator.permutation(num_cars))
 
 
-def _place(car: ParkedCar, number: int, first_tile: int) -> Mesh:
+def _placed(car: ParkedCar, mesh: Mesh) -> Mesh:
     """A car's mesh in the world."""
-    mesh = car_mesh(car.body)
     cosine, sine = math.cos(car.heading), math.sin(car.heading)
     turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return Mesh(
-        mesh.vertices @ turn + [*car.position, 0],
-        mesh.normals @ turn,
-        mesh.faces,
-        mesh.uv,
-        mesh.tile + first_tile,
-        np.full(len(mesh.faces), number),
-    )
+    vertices = mesh.vertices @ turn + [*car.position, 0]
+    return replace(mesh, vertices=vertices, normals=mesh.normals @ turn)
 
 
-def paint_ground(
+def _ground(layout: Layout) -> Mesh:
+    """The plane z = 0 in squares of a metre, as triangles are not clipped."""
+    half = layout.half_size + MARGIN
+    y, x = (np.linspace(-side, side, math.ceil(2 * side) + 1) for side in half[::-1])
+    v, u = np.meshgrid(0.5 - y / half[1] / 2, 0.5 + x / half[0] / 2, indexing="ij")
+    points = np.dstack([*np.meshgrid(x, y), np.zeros_like(u)])[::-1]
+    return Mesh.grid(points, np.dstack([u, v])[::-1], 0, GROUND)
+
+
+def _paint_ground(
     layout: Layout, cars: tuple[ParkedCar, ...], generator: np.random.Generator
-) -> Ground:
-    """Asphalt with repairs, stains and cracks, bay lines, arrows, and grass around."""
-    import cv2
-
+) -> np.ndarray:
+    """Asphalt with repairs, cracks and stains, a kerb and grass around, bay lines and arrows."""
     half = layout.half_size + MARGIN
     canvas = Canvas(2 * half[0], 2 * half[1], (86, 98, 56), MATTE, 1 / GROUND_CELL)
     kerb = half - MARGIN + 0.6
     for wider, colour in ((0.2, (150, 148, 143)), (0.0, (84, 84, 86))):
-        low, size = half - kerb - wider, 2 * (kerb + wider)
-        canvas.rectangle(low[0], low[1], size[0], size[1], colour)
-    _wear(canvas, half, kerb, generator)
+        x, y = half - kerb - wider
+        canvas.rectangle(x, y, 2 * (kerb[0] + wider), 2 * (kerb[1] + wider), colour)
+    for _ in range(14):  # newer asphalt
+        x, y = corner = half + generator.uniform(-kerb, kerb * 0.8)
+        wide, deep = np.minimum(generator.uniform(0.6, 3.5, 2), half + kerb - corner)
+        canvas.rectangle(x, y, wide, deep, np.full(3, generator.uniform(58, 100)))
+    for _ in range(45):  # cracks sealed with tar
+        turns = generator.normal(0, 0.5, generator.integers(4, 14))
+        heading = generator.uniform(0, 2 * np.pi) + np.cumsum(turns)
+        steps = 0.4 * np.stack([np.cos(heading), np.sin(heading)], 1)
+        canvas.line(half + generator.uniform(-kerb, kerb) + np.cumsum(steps, 0), (42, 42, 44), 0.04)
     _markings(canvas, half, layout)
-    for car in cars:
-        _oil(canvas, half + car.position, generator)
-    canvas.mottle(generator, 2.0, 0.06)
-    canvas.mottle(generator, 0.3, 0.04)
-    canvas.mottle(generator, GROUND_CELL, 0.07)
-    canvas.rgb[:] = cv2.GaussianBlur(canvas.rgb, (3, 3), 0.6)
-    atlas = Atlas.pack([canvas.texture()])
-    fine = generator.standard_normal((256, 256)).astype(np.float32)
-    grain = 0.17 * fine + 0.07 * blotches(generator, (256, 256), 4)
-    return Ground(atlas.table, atlas.texels, half * [-1, 1], GROUND_CELL, grain)
-
-
-def _wear(
-    canvas: Canvas, half: np.ndarray, kerb: np.ndarray, generator: np.random.Generator
-) -> None:
-    """Patches of newer asphalt, cracks sealed with tar, drains."""
-    for _ in range(14):
-        x, y = half + generator.uniform(-kerb, kerb * 0.8)
-        shade = generator.uniform(58, 100)
-        size = generator.uniform(0.6, 3.5, 2)
-        wide, deep = np.minimum(size, half + kerb - [x, y])
-        canvas.rectangle(x, y, wide, deep, (shade, shade, shade + 2))
-    for _ in range(45):
-        path = [half + generator.uniform(-kerb, kerb)]
-        heading = generator.uniform(0, 2 * np.pi)
-        for _ in range(generator.integers(4, 14)):
-            heading += generator.normal(0, 0.5)
-            path.append(path[-1] + 0.4 * np.array([np.cos(heading), np.sin(heading)]))
-        canvas.line(path, (42, 42, 44), 0.04)
-    for _ in range(6):
-        x, y = half + generator.uniform(-kerb, kerb)
-        canvas.ellipse(x, y, 0.32, 0.32, (52, 50, 48))
-        canvas.ellipse(x, y, 0.26, 0.26, (72, 70, 67))
+    for car in cars:  # oil under and before them
+        for _ in range(generator.integers(2, 6)):
+            x, y = half + car.position + generator.normal(0, [0.8, 2.2])
+            shade = np.full(3, generator.uniform(45, 72))
+            wide, deep = generator.uniform(0.05, 0.4, 2)
+            canvas.ellipse(x, y, wide, deep, shade)
+    for cell, strength in ((2.0, 0.06), (0.3, 0.04), (GROUND_CELL, 0.07)):
+        canvas.mottle(generator, cell, strength)
+    return canvas.texture
 
 
 def _markings(canvas: Canvas, half: np.ndarray, layout: Layout) -> None:
     """Lines between bays, their heads, and arrows in the aisles."""
-    white = (205, 205, 200)
     for x, y, facing in layout.places():
-        ahead = np.array([math.cos(facing), math.sin(facing)])
-        left = np.array([-ahead[1], ahead[0]])
-        for side in (-1, 1):
-            edge = half + [x, y] + side * left * BAY_WIDTH / 2
-            canvas.line([edge - ahead * BAY_DEPTH / 2, edge + ahead * BAY_DEPTH / 2], white, 0.12)
-    canvas.rectangle(half[0] - layout.length / 2, half[1] - 0.06, layout.length, 0.12, white)
+        ahead = BAY_DEPTH / 2 * np.array([math.cos(facing), math.sin(facing)])
+        left = BAY_WIDTH / 2 * np.array([-math.sin(facing), math.cos(facing)])
+        for across in (left, -left):
+            edge = half + np.array([x, y]) + across
+            canvas.line([edge - ahead, edge + ahead], LINES, 0.12)
+    canvas.rectangle(half[0] - layout.length / 2, half[1] - 0.06, layout.length, 0.12, LINES)
     for side in (-1, 1):
         for x in (-layout.length / 4, layout.length / 4):
             tip = half + np.array([x - side * 0.9, side * layout.aisle])
-            canvas.rectangle(min(tip[0], tip[0] + side * 1.8), tip[1] - 0.08, 1.8, 0.16, white)
-            head = np.array([[-side * 0.7, 0.0], [0.0, 0.35], [0.0, -0.35]])
-            canvas.polygon(tip + head, white)
+            canvas.line(tip + np.array([[0, 0], [side * 1.8, 0]]), LINES, 0.16)
+            canvas.polygon(tip + np.array([[-side * 0.7, 0], [0, 0.35], [0, -0.35]]), LINES)
 
 
-def _oil(canvas: Canvas, middle: np.ndarray, generator: np.random.Generator) -> None:
-    """Oil and rust under and before a car, and a litter of leaves."""
-    for _ in range(generator.integers(2, 6)):
-        x, y = middle + generator.normal(0, [0.8, 2.2])
-        shade = generator.uniform(45, 72)
-        rx, ry = generator.uniform(0.05, 0.4, 2)
-        canvas.ellipse(x, y, rx, ry, (shade, shade, shade))
-    for _ in range(generator.integers(0, 14)):
-        x, y = middle + generator.normal(0, [1.2, 2.5])
-        leaf = generator.uniform(0.5, 1.2) * np.array([120, 92, 58])
-        canvas.ellipse(x, y, 0.04, 0.04, leaf)
-
-
-def _light(
-    mesh: Mesh, atlas: Atlas, height: float, harshness: float, generator: np.random.Generator
-) -> Light:
+def _light(mesh: Mesh, atlas: Atlas, harshness: float, generator: np.random.Generator) -> Light:
     """A warm low sun from a random side and a blue sky."""
-    azimuth = generator.uniform(0, 2 * np.pi)
-    level = math.cos(height)
-    direction = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(height)])
-    sun = harshness * np.array([4.6, 4.1, 3.4])
-    sky = np.array([0.30, 0.38, 0.54])
-    return Light.cast(
-        mesh,
-        atlas,
-        direction,
-        sun=sun,
-        sky=sky,
-        bounce=0.10 * (sun * math.sin(height) + sky),
-        panorama=panorama(direction, harshness, generator),
-    )
+    azimuth = generator.uniform(0, math.tau)
+    level, height = math.cos(SUN_HEIGHT), math.sin(SUN_HEIGHT)
+    direction = np.array([level * math.cos(azimuth), level * math.sin(azimuth), height])
+    sun, sky = harshness * np.array([4.6, 4.1, 3.4]), np.array([0.30, 0.38, 0.54])
+    colours = np.stack([direction, sun, sky, 0.10 * (sun * height + sky)])
+    return Light.cast(mesh, atlas, colours, panorama(direction, harshness, generator))

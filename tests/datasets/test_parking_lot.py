@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from mixer_torch.datasets.parking_lot import ParkingLot, look, odometry_error
-from mixer_torch.demo.camera import develop, drive, loop_length
+from mixer_torch.datasets.parking_lot import ParkingLot
+from mixer_torch.demo.camera import develop, drive, loop_length, odometry_error
+from mixer_torch.demo.detector import look
 from mixer_torch.demo.scene import layout_for, park
 
 EXACT = {
@@ -188,7 +189,7 @@ def test_drift_is_small_over_a_few_frames_and_large_over_a_lap():
         assert np.linalg.norm(poses[revisit, :2] - poses[0, :2]) < 2.5
         place = poses[0, :2] + np.array([6.0, 3.0])
         believed = []
-        for angle, x, y, _ in odometry_error(poses, 0.2, generator):
+        for angle, x, y in odometry_error(poses, 0.2, generator):
             c, s = np.cos(angle), np.sin(angle)
             believed.append(np.array([[c, -s], [s, c]]) @ place + [x, y])
         believed = np.array(believed)
@@ -250,7 +251,7 @@ def test_harsh_light_loses_more_in_highlights_and_shadows():
     light = np.geomspace(0.005, 5.0, 64 * 64 * 3).reshape(64, 64, 3).astype(np.float32)
     lost = []
     for harshness in (0.0, 1.0, 3.0):
-        frame = develop(light, 1.0, np.ones(3), harshness, np.random.default_rng(0))
+        frame = develop(light, 1.0, harshness, np.random.default_rng(0))
         lost.append(((frame == 255) | (frame <= 20)).mean())
     assert lost[0] < lost[1] < lost[2]
 
@@ -259,7 +260,7 @@ def test_harsh_light_takes_colour_away():
     light = np.full((64, 64, 3), [0.6, 0.2, 0.2], np.float32)
     spread = []
     for harshness in (0.0, 2.0):
-        frame = develop(light, 0.5, np.ones(3), harshness, np.random.default_rng(0))
+        frame = develop(light, 0.5, harshness, np.random.default_rng(0))
         spread.append(np.ptp(frame[24:40, 24:40].astype(float).mean((0, 1))))
     assert spread[1] < spread[0]
 
