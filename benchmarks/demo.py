@@ -20,7 +20,7 @@ from mixer_torch.datasets import ParkingLot
 from mixer_torch.metrics.clustering import evaluate
 from mixer_torch.plots import frames_figure
 from mixer_torch.scorers import SIFT, Color, IoU, Proximity
-from mixer_torch.scorers.calibration import PiecewiseLinear
+from mixer_torch.scorers.curves import PiecewiseLinear
 
 COLUMNS = ("stage", "seconds", "pairs_per_second", "peak_memory_mb")
 PICTURE_WIDTH = 1500  # pixels
