@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from inspect import unwrap
 
+import numpy as np
 from numba import njit
 
 from mixer_torch.demo.textures import LEVELS, MATTE
@@ -50,6 +51,12 @@ def _weights(a, b, c, area, x, y):
 
 
 @compiled
+def _row(rows, k):
+    """A row of three as a tuple, which costs less in an inner loop than a view of the array."""
+    return rows[k, 0], rows[k, 1], rows[k, 2]
+
+
+@compiled
 def _mix(rows, a, b, c, weights):
     """The weighted mean of three rows of three."""
     wa, wb, wc = weights
@@ -83,7 +90,7 @@ def rasterise(screen, faces, uv, tile, owner, table, texels, nearest, face):
     """The z-buffer: nearest inverse depth and its triangle, of each pixel."""
     height, width = nearest.shape
     for t in range(len(faces)):
-        a, b, c = screen[faces[t, 0]], screen[faces[t, 1]], screen[faces[t, 2]]
+        a, b, c = _row(screen, faces[t, 0]), _row(screen, faces[t, 1]), _row(screen, faces[t, 2])
         area = _cross(a, b, c)
         if min(a[2], b[2], c[2]) <= 0.0 or abs(area) < 1e-9:
             continue  # a corner behind the camera, or a triangle seen from its edge
@@ -110,7 +117,8 @@ def _channel(texels, first, columns, fx, fy, k):
     upper = (1 - fx) * texels[first, k] + fx * texels[first + 1, k]
     first += columns
     lower = (1 - fx) * texels[first, k] + fx * texels[first + 1, k]
-    return (((1 - fy) * upper + fy * lower) / 255.0) ** 2
+    light = ((1 - fy) * upper + fy * lower) / 255.0
+    return light * light
 
 
 @compiled
@@ -149,7 +157,7 @@ def _sunlit(shadow, axes, corner, place):
 
 
 @compiled
-def _surface(albedo, gloss, normal, ray, height, lit, light, panorama, out):
+def _surface(albedo, gloss, normal, ray, height, lit, light, panorama):
     """Outgoing light of a point: diffuse, and where it is glossy a coat that mirrors sky and sun.
 
     Rows of light: direction of the sun, its colour, the sky's, what comes from below.
@@ -158,11 +166,11 @@ def _surface(albedo, gloss, normal, ray, height, lit, light, panorama, out):
     diffuse = lit * max(nx * light[0, 0] + ny * light[0, 1] + nz * light[0, 2], 0.0)
     open_sky = 0.35 + 0.65 * min(1.0, max(0.0, height / 0.7))  # less of it beneath a car
     sky, below = open_sky * (0.5 + 0.5 * nz), open_sky * (0.5 - 0.5 * nz)
-    for k in range(3):
-        arriving = diffuse * light[1, k] + sky * light[2, k] + below * light[3, k]
-        out[k] = albedo[k] * arriving
+    red = albedo[0] * (diffuse * light[1, 0] + sky * light[2, 0] + below * light[3, 0])
+    green = albedo[1] * (diffuse * light[1, 1] + sky * light[2, 1] + below * light[3, 1])
+    blue = albedo[2] * (diffuse * light[1, 2] + sky * light[2, 2] + below * light[3, 2])
     if gloss <= MATTE:
-        return
+        return red, green, blue
     base = 0.5 * ((gloss - MATTE) / (255 - MATTE)) ** 2
     cosine = -(nx * ray[0] + ny * ray[1] + nz * ray[2])
     # Schlick's approximation of Fresnel's law, and a narrow and a wide lobe of Phong's.
@@ -171,8 +179,23 @@ def _surface(albedo, gloss, normal, ray, height, lit, light, panorama, out):
     spark = max(0.0, rx * light[0, 0] + ry * light[0, 1] + rz * light[0, 2])
     glint = 9.0 * lit * mirror * (spark**350 + 0.02 * spark**24)
     far = _far(panorama, rx, ry, rz)
-    for k in range(3):
-        out[k] = (1.0 - mirror) * out[k] + mirror * far[k] + glint * light[1, k]
+    return (
+        (1.0 - mirror) * red + mirror * far[0] + glint * light[1, 0],
+        (1.0 - mirror) * green + mirror * far[1] + glint * light[1, 1],
+        (1.0 - mirror) * blue + mirror * far[2] + glint * light[1, 2],
+    )
+
+
+@compiled
+def _levels(screen, faces, uv, tile, table):
+    """Of each triangle: texels a pixel along a side, and the level that has about one."""
+    step, level = np.empty(len(faces)), np.empty(len(faces), np.int64)
+    for t in range(len(faces)):
+        area = abs(_cross(screen[faces[t, 0]], screen[faces[t, 1]], screen[faces[t, 2]]))
+        texels = abs(_cross(uv[t, 0], uv[t, 1], uv[t, 2])) * table[tile[t], 0, 1]
+        step[t] = max(math.sqrt(texels * table[tile[t], 0, 2] / max(area, 1e-3)), 1e-3)
+        level[t] = min(max(int(math.log2(step[t]) + 0.25), 0), LEVELS - 1)
+    return step, level
 
 
 @compiled
@@ -182,6 +205,7 @@ def shade(face, screen, camera, mesh, atlas, light, image):
     table, texels, grain = atlas
     colours, panorama, shadow, axes, corner = light
     height, width = face.shape
+    steps, levels = _levels(screen, faces, uv, tile, table)
     for i in range(height):
         for j in range(width):
             lx, ly = (j + 0.5 - width / 2) / camera[4, 0], (i + 0.5 - height / 2) / camera[4, 0]
@@ -189,27 +213,25 @@ def shade(face, screen, camera, mesh, atlas, light, image):
             ray = _mix(camera, 0, 1, 2, (lx * unit, ly * unit, unit))
             t = face[i, j]
             if t < 0:
-                image[i, j] = _far(panorama, ray[0], ray[1], ray[2])
+                colour = _far(panorama, ray[0], ray[1], ray[2])
+                image[i, j, 0], image[i, j, 1], image[i, j, 2] = colour
                 continue
             a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
-            area = _cross(screen[a], screen[b], screen[c])
-            weights = _weights(screen[a], screen[b], screen[c], area, j + 0.5, i + 0.5)
+            pa, pb, pc = _row(screen, a), _row(screen, b), _row(screen, c)
+            weights = _weights(pa, pb, pc, _cross(pa, pb, pc), j + 0.5, i + 0.5)
             u, v = _coordinate(uv, t, weights)
             place, (nx, ny, nz) = _mix(vertices, a, b, c, weights), _mix(normals, a, b, c, weights)
             unit = 1.0 / (math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12)
-            k = tile[t]
-            # The level of the texture that has about one texel a pixel.
-            texel = abs(_cross(uv[t, 0], uv[t, 1], uv[t, 2])) * table[k, 0, 1] * table[k, 0, 2]
-            step = math.sqrt(texel / max(abs(area), 1e-3))
-            level = min(max(int(math.log2(max(step, 1e-3)) + 0.25), 0), LEVELS - 1)
+            k, level = tile[t], levels[t]
             first, rows, columns = table[k, level, 0], table[k, level, 1], table[k, level, 2]
             albedo = _sample(texels, first, rows, columns, u, v)
             if owner[t] == GROUND:
                 n, x, y = len(grain), int(place[0] / GRAIN_CELL), int(place[1] / GRAIN_CELL)
-                rough = 1.0 + max(0.0, 1.0 - step * GROUND_CELL / 0.05) * grain[y % n, x % n]
+                rough = 1.0 + max(0.0, 1.0 - steps[t] * GROUND_CELL / 0.05) * grain[y % n, x % n]
                 albedo = (albedo[0] * rough, albedo[1] * rough, albedo[2] * rough)
             lit = 1.0 if owner[t] == FOLIAGE else _sunlit(shadow, axes, corner, place)
             low = place[2] if owner[t] >= 0 else 1.0
             gloss = _gloss(table, texels, k, level, u, v)
             normal = (nx * unit, ny * unit, nz * unit)
-            _surface(albedo, gloss, normal, ray, low, lit, colours, panorama, image[i, j])
+            colour = _surface(albedo, gloss, normal, ray, low, lit, colours, panorama)
+            image[i, j, 0], image[i, j, 1], image[i, j, 2] = colour
