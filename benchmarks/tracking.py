@@ -13,7 +13,10 @@ Families are those in $MIXER_DATA, mot15 and the folders in tracking, or the fol
     mixer bench tracking --out out/benchmarks/tracking
     python -m mixer_torch.benchmarks.tracking --families dancetrack_val sportsmot_val
 
-Weights that were learned without a family are kept in OUT/weights, and used again.
+Weights that were learned without a family are kept in OUT/weights, and used again. What is shipped,
+mixer_torch/tracking/tracker.safetensors, is made by
+
+    python -m mixer_torch.benchmarks.tracking --learn_all tracker.safetensors
 """
 
 import argparse
@@ -21,7 +24,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from mixer_torch.benchmarks import comparison, peers, results, tracking_report
@@ -30,20 +32,28 @@ from mixer_torch.io.files import find
 from mixer_torch.io.tracks import read_mot_truth
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.tracking import Tracker
-from mixer_torch.tracking.examples import UNKNOWN, examples, simulated
+from mixer_torch.tracking.examples import simulated
+from mixer_torch.tracking.own import SCENES, Labelled
 from mixer_torch.tracking.training import train
 from mixer_torch.tracking.weights import Weights
 from mixer_torch.tracks import Tracks
 
 OURS = {"MIXER": False, "MIXER online": True}
 ORACLE = "oracle"
-SIMULATED = 48  # scenes, as one more family to learn from
-VARIANTS = 3  # stretches of each sequence: one as it is, two made harder
 METRICS = ("HOTA", "AssA", "DetA", "IDF1", "MOTA", "IDSW", "Frag", "tracks")
 COST = ("frames", "detections", "seconds", "peak_mib")
 LATENCY = ("latency_median_ms", "latency_p99_ms", "latency_max_ms")
 COLUMNS = ("family", "tracker", "sequence", *METRICS, *COST, *LATENCY)
 SPEED_COLUMNS = ("tracker", "people", *COST, "HOTA", "IDF1", *LATENCY)
+LICENCES = {
+    "mot15": "truth MASA-OA (Apache-2.0), detections of the authors of SORT (GPL-3.0)",
+    "dancetrack": "truth Deep-OC-SORT (MIT), detections imm-jhse (MIT)",
+    "sportsmot_oracle": "truth SportsMOT (CC BY-NC 4.0)",
+    "kitti_cars": "truth AB3DMOT (non-commercial research), detections imm-jhse (MIT)",
+    "mot17_frcnn": "truth and detections py-motmetrics (MIT) and MOTChallenge",
+    "mot17_yolox": "truth py-motmetrics (MIT), detections yolo_tracking (none stated)",
+}
+"""Of the labels and detections that the shipped weights were learned on, as their sources state."""
 CROWDS = ((10, 1000), (20, 500), (20, 2000), (50, 1000))
 """People and frames of the crowds that speed is measured on: does time grow with the length?"""
 
@@ -59,35 +69,39 @@ class Scene:
         frames = MOTChallenge(folder).info().length
         self.frames = frames or int(max(self.seen["frame"].max(), self.truth.tracks.frame.max()))
 
-    def labelled(self):
-        """Detections with identities; those of what does not count are unknown."""
-        everything = Tracks.from_labels(self.seen, torch.arange(len(self.seen)))
-        counted = torch.zeros(len(self.seen), dtype=torch.bool)
-        counted[self.truth.without_distractors(everything).observation] = True
-        identity = self.seen["identity"]
-        unknown = (identity < 0) & ~counted
-        return self.seen.with_features(identity=identity.where(~unknown, UNKNOWN))
+    def to_learn_from(self, seed):
+        return Labelled(self.seen, self.truth).to_learn_from(seed)
+
+
+def measured(families):
+    """By family: stretches of its sequences to learn from; simulated scenes are one more family."""
+    found = {
+        name: [one for seed, scene in enumerate(scenes) for one in scene.to_learn_from(seed)]
+        for name, scenes in tqdm(families.items(), "measured", disable=None)
+    }
+    return found | {"simulated": simulated(SCENES)}
 
 
 def held_out(families, out):
     """By family: weights that were learned on all the others, or read where they are already."""
     folder = out / "weights"
     folder.mkdir(parents=True, exist_ok=True)
-    found, data = {}, {}
-    for name in families:
-        file = folder / f"without_{name}.safetensors"
-        if not file.exists():
-            if not data:
-                for family, scenes in tqdm(families.items(), "measured", disable=None):
-                    data[family] = [
-                        example
-                        for seed, scene in enumerate(scenes)
-                        for example in examples(scene.labelled(), seed, VARIANTS)
-                    ]
-            others = {family: value for family, value in data.items() if family != name}
-            train(others | {"simulated": simulated(SIMULATED)}).save(file)
-        found[name] = Weights.load(file)
-    return found
+    files = {name: folder / f"without_{name}.safetensors" for name in families}
+    wanted = {name: file for name, file in files.items() if not file.exists()}
+    data = measured(families) if wanted else {}
+    for name, file in tqdm(wanted.items(), "learned", disable=None):
+        train({family: value for family, value in data.items() if family != name}).save(file)
+    return {name: Weights.load(file) for name, file in files.items()}
+
+
+def learn_all(families, file):
+    """Weights that were learned on all families: what is shipped, with its card."""
+    card = {
+        "families": [*families, f"{SCENES} scenes of mixer_torch.datasets.simulated"],
+        "licences": {name: LICENCES.get(name, "not known") for name in families},
+    }
+    Weights(train(measured(families)).networks, card).save(file)
+    return f"written: {file}"
 
 
 def run(families, out):
@@ -192,7 +206,10 @@ def families_of(named):
 def main(argv=None):
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument("--families", nargs="+", type=Path)
+    parser.add_argument("--learn_all", type=Path)
     named, rest = parser.parse_known_args(argv)
+    if named.learn_all:
+        return learn_all(families_of(named.families), named.learn_all)
     quick = "the shortest sequence of each family"
     arguments = results.arguments((__file__, __doc__), rest, quick)
     out = arguments.out

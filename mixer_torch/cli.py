@@ -46,7 +46,7 @@ SWITCHES = ("--ablate", "--video", "--quick", "--from_rows")
 """Options that may be given without a value, which then means true."""
 POSITIONAL = ("solve", "evaluate", "bench")
 """Commands whose required arguments are given without their names."""
-REPEATED = {"track": ("sequences", "Folders, as they are or inside $MIXER_DATA.")}
+REPEATED = {"track": ("sequences", "Folders and files, as they are or inside $MIXER_DATA.")}
 """The parameter that takes all arguments which are given without a name, and its help."""
 SHARED = {"dataset", "scorers", "solver", "pairs", "fusion", "ablate", "video", "device", "tracker"}
 """Shared options; commands ignore those that they do not use, so that one file serves them all."""

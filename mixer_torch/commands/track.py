@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,11 +13,11 @@ import torch
 
 from mixer_torch.association import Association
 from mixer_torch.commands.associate import device_named
+from mixer_torch.commands.jobs import Job, Options, named, read_job
+from mixer_torch.commands.own_weights import own_weights
 from mixer_torch.commands.text import listing, table
-from mixer_torch.datasets.motchallenge import MOTChallenge
-from mixer_torch.io.files import atomic_write, check_folder, find
-from mixer_torch.io.frames import NumberedFrames
-from mixer_torch.io.tracks import MotTruth, read_mot_truth, write_tracks
+from mixer_torch.io.files import atomic_write, check_folder
+from mixer_torch.io.tracks import MotTruth, write_tracks
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.observations import Observations
 from mixer_torch.plots.video import write_track_video
@@ -27,8 +26,6 @@ from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.tracker import Tracker
 from mixer_torch.tracks import Tracks
 
-FRAME_RATE = 30.0
-"""Frames per second, by convention, where neither seqinfo.ini nor an option says it."""
 SUFFIX = {"mot": ".txt", "coco": ".json", "csv": ".csv", "parquet": ".parquet"}
 METRICS = {"HOTA": "HOTA", "AssA": "AssA", "IDF1": "IDF1", "IDSW": "switches"}
 """The metrics in the table, and the titles of their columns."""
@@ -48,6 +45,7 @@ def track(
     repair: bool = True,
     format: Literal["mot", "coco", "csv", "parquet"] = "mot",  # noqa: A002
     video: bool = False,
+    train: Path | None = None,
     device: str = "cpu",
     *,
     config: str,
@@ -55,11 +53,13 @@ def track(
 ) -> str:
     """Follow objects through whole sequences, and measure the tracks where there is truth.
 
-    A sequence is a folder in the layout of MOTChallenge; det/det.txt is enough. The truth,
-    gt/gt.txt, is read for the metrics alone: the tracker does not see it.
+    A sequence is a folder in the layout of MOTChallenge, of which det/det.txt is enough; or a file:
+    text like det.txt, JSON in the style of COCO, or a table (.csv, .tsv, .parquet) with columns
+    frame, x1, y1, x2 and y2. The truth, gt/gt.txt, is read for the metrics alone: the tracker does
+    not see it, nor identities in a file.
 
     Args:
-        sequences: Folders, as they are or inside $MIXER_DATA.
+        sequences: Folders and files, as they are or inside $MIXER_DATA.
         tracker: The tracker; the default one, Tracker(), where nothing is said.
         out: Folder to write to: SEQUENCE.txt for each, named after its folder, and config.yaml.
         start: First frame; from the beginning if null.
@@ -72,48 +72,25 @@ def track(
         repair: Leave out malformed lines of det.txt, with a note; if false, they are errors.
         format: Of the results: mot (txt, as MOTChallenge has it), coco (json), csv or parquet.
         video: Write SEQUENCE.mp4, too, where there are frames.
+        train: Learn weights for a tracker from these sequences and their truth, print what they
+            gain on sequences held out, and write them to this .safetensors file; nothing else.
         device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
         config: The resolved configuration, to be written beside the results.
         progress: Called with stage, number done and total while the work goes on.
     """
+    sources = named(sequences)
+    if train is not None:
+        return own_weights(sources, classes, frame_rate, train, progress)
     tracker = tracker or Tracker()
     place = device_named(device)
-    folders = _by_name(sequences)
     check_folder(out)
-    options = {"start": start, "stop": stop, "step": step, "min_confidence": min_confidence}
-    options |= {"pixels": pixels, "frame_rate": frame_rate, "repair": repair}
-    jobs = [_read(name, folder, options, video) for name, folder in folders.items()]
-    truths, unreadable = _truths(jobs, classes)
+    options = Options(start, stop, step, min_confidence, pixels, frame_rate, repair)
+    jobs = [read_job(name, path, options, video) for name, path in sources.items()]
+    truths, unreadable = _checked(jobs, format, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")
     outcomes = _track_all(jobs, tracker.to(place), place, out, SUFFIX[format], progress)
-    return _report(jobs, outcomes, truths, unreadable, out)
-
-
-@dataclass(frozen=True)
-class Job:
-    """One sequence to track.
-
-    Args:
-        name: The name of its folder.
-        dataset: Its folder as a dataset.
-        observations: The detections, without the truth.
-        frames: Frames for a video; None for no video.
-        notes: Remarks for the user on how it was read.
-    """
-
-    name: str
-    dataset: MOTChallenge
-    observations: Observations
-    frames: NumberedFrames | None
-    notes: list[str]
-
-    @property
-    def length(self) -> int:
-        """Number of frames that were chosen, those without detections included."""
-        last = int(self.observations["frame"].max()) if len(self.observations) else 0
-        last = max(last, self.dataset.info().length or 0)
-        return int(self.dataset.chosen(np.arange(1, last + 1)).sum())
+    return _report(jobs, outcomes, truths, unreadable, classes, out)
 
 
 @dataclass(frozen=True)
@@ -133,54 +110,31 @@ class Outcome:
     files: list[str]
 
 
-def _by_name(sequences: Sequence[Path]) -> dict[str, Path]:
-    """The folders by their names, after which the results are called."""
-    folders: dict[str, Path] = {}
-    for sequence in sequences:
-        folder = find(sequence)
-        if not folder.is_dir():
-            raise NotADirectoryError(f"sequences: expected folders, got the file {folder}")
-        name = Path(os.path.abspath(folder)).name
-        if name in folders:
+def _check_cameras(jobs: Sequence[Job], kind: str) -> None:
+    """Several cameras cannot be told apart in the text format: better said before the work."""
+    for job in jobs:
+        camera = job.observations.features.get("camera")
+        if kind == "mot" and camera is not None and len(camera.unique()) > 1:
             raise ValueError(
-                f"sequences: {folders[name]} and {folder} are both called {name}, which is the "
-                "name of the result; track them one by one, with an --out for each"
+                f"format: {job.name} is of {len(camera.unique())} cameras, which mot cannot tell "
+                "apart; choose --format coco, csv or parquet"
             )
-        folders[name] = folder
-    return folders
 
 
-def _read(name: str, folder: Path, options: dict[str, Any], video: bool) -> Job:
-    notes = []
-    if options["frame_rate"] is None and not (folder / "seqinfo.ini").is_file():
-        options = options | {"frame_rate": FRAME_RATE}
-        notes.append(
-            f"{name}: no seqinfo.ini, so {FRAME_RATE:g} frames per second; see --frame_rate"
-        )
-    dataset = MOTChallenge(folder, truth=False, **options)
-    observations, repaired = dataset.read()
-    frames = dataset.frames() if video else None
-    if video and not frames:
-        notes.append(f"{name}: no video, as there are no frames")
-    return Job(name, dataset, observations, frames, notes + repaired)
-
-
-def _truths(
-    jobs: Sequence[Job], classes: Sequence[int]
+def _checked(
+    jobs: Sequence[Job], kind: str, classes: Sequence[int]
 ) -> tuple[dict[str, tuple[MotTruth, Tracks]], list[str]]:
     """The truth of each sequence that has one, and its part in the frames chosen; and notes."""
+    _check_cameras(jobs, kind)
     truths, notes = {}, []
     for job in jobs:
-        file = job.dataset.folder / "gt" / "gt.txt"
-        if not file.is_file():
-            continue
         try:
-            truth = read_mot_truth(file, classes)
+            truth = job.read_truth(classes)
         except ValueError as error:
             notes.append(f"{job.name}: no metrics, as the truth is not readable: {error}")
             continue
-        chosen = truth.tracks.select(job.dataset.chosen(truth.tracks.frame))
-        truths[job.name] = truth, chosen
+        if truth is not None:
+            truths[job.name] = truth
     return truths, notes
 
 
@@ -230,9 +184,8 @@ def _track(
 
 
 def _write_video(path: Path, job: Job, tracks: Tracks, progress: Progress) -> None:
-    rate = job.dataset.info().frame_rate
     with atomic_write(path) as partial:
-        write_track_video(partial, tracks, job.frames, rate, progress)  # type: ignore[arg-type]
+        write_track_video(partial, tracks, job.frames, job.frame_rate, progress)  # type: ignore[arg-type]
 
 
 def _report(
@@ -240,11 +193,17 @@ def _report(
     outcomes: Mapping[str, Outcome],
     truths: Mapping[str, tuple[MotTruth, Tracks]],
     notes: Sequence[str],
+    classes: Sequence[int],
     out: Path,
 ) -> str:
     """The table of all sequences, notes, and the files that were written."""
-    metrics = _measure(outcomes, truths)
-    notes = [*(note for job in jobs for note in job.notes), *notes, *_latencies(outcomes)]
+    metrics = _measure(jobs, outcomes, truths, classes)
+    notes = [
+        *(note for job in jobs for note in job.notes),
+        *notes,
+        *_findings(jobs, outcomes),
+        *_latencies(outcomes),
+    ]
     written = ["config.yaml", *(name for one in outcomes.values() for name in one.files)]
     return "\n".join(
         [
@@ -257,17 +216,43 @@ def _report(
 
 
 def _measure(
-    outcomes: Mapping[str, Outcome], truths: Mapping[str, tuple[MotTruth, Tracks]]
+    jobs: Sequence[Job],
+    outcomes: Mapping[str, Outcome],
+    truths: Mapping[str, tuple[MotTruth, Tracks]],
+    classes: Sequence[int],
 ) -> dict[str, Mapping[str, Any]]:
     """The metrics of each sequence that has truth and, as "", of these together."""
     if not truths:
         return {}
+    seen = {job.name: job.observations for job in jobs}
     results = {
-        name: truth.without_distractors(outcomes[name].tracks)
+        name: truth.without_distractors(_of_classes(outcomes[name].tracks, seen[name], classes))
         for name, (truth, _) in truths.items()
     }
     found = evaluate_sequences(results, {name: chosen for name, (_, chosen) in truths.items()})
     return {**found["sequences"], "": found["combined"]}
+
+
+def _of_classes(tracks: Tracks, seen: Observations, classes: Sequence[int]) -> Tracks:
+    """Tracks of the classes that are to be found, where detections have classes."""
+    if "category" not in seen.features or not len(tracks):
+        return tracks
+    observed = tracks.observation >= 0
+    category = seen["category"].cpu().numpy()[tracks.observation[observed]]
+    wanted = np.unique(tracks.identity[observed][np.isin(category, classes)])
+    return tracks.select(np.isin(tracks.identity, wanted))
+
+
+def _findings(jobs: Sequence[Job], outcomes: Mapping[str, Outcome]) -> list[str]:
+    """What was measured on each sequence, or that there was nothing to track."""
+    notes = []
+    for job in jobs:
+        if not len(job.observations):
+            notes.append(f"{job.name}: no detections, so no tracks")
+            continue
+        measured = outcomes[job.name].association.stats.get("measured", {})
+        notes += [f"{job.name}: {one.summary}" for one in measured.values()]
+    return notes
 
 
 def _latencies(outcomes: Mapping[str, Outcome]) -> list[str]:

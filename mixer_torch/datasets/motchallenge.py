@@ -28,6 +28,7 @@ from mixer_torch.io.motchallenge import (
     BOX,
     SequenceInfo,
     as_confidence,
+    classes_of,
     read_repaired,
     read_seqinfo,
     read_table,
@@ -40,18 +41,23 @@ from mixer_torch.observations import Images, Observations
 class MOTChallenge(Dataset):
     """One sequence: a folder with ``seqinfo.ini``, ``det/det.txt`` and what else there is.
 
+    A text file will do as well: the detections, in the place of ``det/det.txt`` of the folder that
+    it is in, or of the one above if that is called ``det``.
+
     Lines of ``det.txt`` are frame, id, left, top, width, height, confidence, ...; of
     ``gt/gt.txt`` the same with a flag in the seventh place, 0 for regions to ignore, which are
-    dropped. Truth of nine columns is that of MOT16 and later, with a class in the eighth. Each
-    frame is one view, numbered as in the table. Lines may be in any order.
+    dropped. The eighth column may be a class
+    (:func:`~mixer_torch.io.motchallenge.classes_of`). Each frame is one view, numbered as in the
+    table. Lines may be in any order.
 
     Features: ``frame``; ``time``, (frame - 1) / frameRate; ``camera``, 0; ``box``;
     ``confidence``, the score as a value in [0, 1]
     (:func:`~mixer_torch.io.motchallenge.as_confidence`; it is one already for most
-    detectors, and not for DPM and ACF); ``identity`` where there is truth: that of the true box
-    which the detection is assigned to, -1 for clutter; ``position`` where there is a calibration:
-    the ground point under the middle of the box's lower edge, z = 0, in the frame of the
-    calibration. Boxes are as in the table, which counts pixels from 1.
+    detectors, and not for DPM and ACF); ``category`` where there are classes; ``identity`` where
+    there is truth: that of the true box which the detection is assigned to, -1 for clutter;
+    ``position`` where there is a calibration: the ground point under the middle of the box's lower
+    edge, z = 0, in the frame of the calibration. Boxes are as in the table, which counts pixels
+    from 1.
 
     Frames are read from ``img1/000001.jpg``, ... (folder and ending as in ``seqinfo.ini``), or
     from the one file in ``video/``, whose k-th frame, from 1, is frame k. A calibration is a Tsai
@@ -59,7 +65,7 @@ class MOTChallenge(Dataset):
     is none but truth has ground positions (``gt/gt.txt`` of MOT15), ``calibration`` can name that.
 
     Args:
-        path: The folder, as it is or inside ``$MIXER_DATA``.
+        path: The folder, or the text file, as it is or inside ``$MIXER_DATA``.
         start: First frame; from the beginning if None.
         stop: Last frame, included; to the end if None.
         step: From one frame to the next.
@@ -133,6 +139,9 @@ class MOTChallenge(Dataset):
             "box": box.astype(np.float32),
             "confidence": rows[:, 6].astype(np.float32),
         }
+        category = classes_of(rows)
+        if category is not None:
+            features["category"] = category
         if identity is not None:
             features["identity"] = identity
         features |= self._places(folder, info, table, chosen)
@@ -145,7 +154,16 @@ class MOTChallenge(Dataset):
         Raises:
             FileNotFoundError: It is nowhere.
         """
-        return find(self.path)
+        path = find(self.path)
+        if path.is_dir():
+            return path
+        return path.parent.parent if path.parent.name == "det" else path.parent
+
+    @property
+    def detection_file(self) -> Path:
+        """Where its detections are."""
+        path = find(self.path)
+        return path / "det" / "det.txt" if path.is_dir() else path
 
     def info(self) -> SequenceInfo:
         """What ``seqinfo.ini`` says."""
@@ -169,7 +187,7 @@ class MOTChallenge(Dataset):
             truth[:, 6] = 1
             chosen = self._choose(truth)
             return truth, chosen, truth[chosen, 1].astype(np.int64), []
-        table, notes = self._detections(folder / "det" / "det.txt", info)
+        table, notes = self._detections(self.detection_file, info)
         chosen = self._choose(table)
         if truth is None:
             return table, chosen, None, notes

@@ -12,7 +12,14 @@ from jaxtyping import Float64, Int64
 
 from mixer_torch.boxes import assign, corners, iou, left_top_size
 from mixer_torch.io.files import atomic_write
-from mixer_torch.io.motchallenge import BOX, BOX_COLUMNS, check_identities, has_class, read_table
+from mixer_torch.io.motchallenge import (
+    BOX,
+    BOX_COLUMNS,
+    check_classes,
+    check_identities,
+    classes_of,
+    read_table,
+)
 from mixer_torch.io.text import GUESS, read_numbers, refuse
 from mixer_torch.tracks import Tracks, from_one
 
@@ -118,8 +125,9 @@ def read_mot_truth(
 ) -> MotTruth:
     """Read ``gt.txt``: frame, id, left, top, width, height, flag, ...
 
-    Rows of flag 0 are not to be found. A file of nine columns is of MOT16 or later and has a class
-    in the eighth; all others have one class and no distractors.
+    Rows of flag 0 are not to be found. Where the eighth column is a class
+    (:func:`~mixer_torch.io.motchallenge.classes_of`) those of other classes are not, either; where
+    it is none, there is one class and no distractors.
 
     Args:
         path: The file.
@@ -130,8 +138,8 @@ def read_mot_truth(
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: A line is malformed, or an identity is twice in a frame; the message names the
-            file and the line.
+        ValueError: A line is malformed, an identity is twice in a frame, or no row is of a class
+            to be found; the message names the file and the line.
     """
     path = Path(path)
     if distractors is None:
@@ -140,9 +148,11 @@ def read_mot_truth(
     rows, number = read_table(path)
     wanted = rows[:, 6] != 0
     distractor = np.zeros(len(rows), dtype=bool)
-    if has_class(rows):
-        wanted &= np.isin(rows[:, 7], classes)
-        distractor = np.isin(rows[:, 7], distractors)
+    category = classes_of(rows)
+    check_classes(path, category, classes)
+    if category is not None:
+        wanted &= np.isin(category, classes)
+        distractor = np.isin(category, distractors)
     check_identities(path, number[wanted], rows[wanted])
     frame, box = rows[~wanted, 0].astype(np.int64), corners(rows[~wanted, BOX])
     return MotTruth(_tracks(rows[wanted]), frame, box, distractor[~wanted])

@@ -19,7 +19,7 @@ BOX_COLUMNS = 6
 """Columns of a table that ends with the box, and has no scores."""
 BOX = slice(2, 6)
 """Columns of the box: left, top, width, height."""
-CLASS_COLUMNS = 9
+CLASS, CLASS_COLUMNS = 7, 9
 UNKNOWN_SCORE = -1.0
 """What the format writes where there is no value."""
 LOGIT_LOW, LOGIT_MIDDLE = 1.386, 3.892
@@ -117,16 +117,40 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
     """
     rows, number = read_table(path)
     keep = rows[:, 6] != 0
-    if has_class(rows):
-        keep &= np.isin(rows[:, 7], classes)
+    category = classes_of(rows)
+    check_classes(path, category, classes)
+    if category is not None:
+        keep &= np.isin(category, classes)
     rows, number = rows[keep], number[keep]
     check_identities(path, number, rows)
     return rows
 
 
-def has_class(rows: Float64[np.ndarray, "n columns"]) -> bool:
-    """Whether the eighth column of a table of truth is a class: MOT16 and later have nine."""
-    return rows.shape[1] == CLASS_COLUMNS
+def classes_of(rows: Float64[np.ndarray, "n columns"]) -> Int64[np.ndarray, " n"] | None:
+    """The class of each row, in the eighth column; None where that is no class.
+
+    In nine columns it is one (MOT16 and later: class and visibility), unless all are -1, which is
+    "no value". In other numbers of columns (VisDrone has ten: class, truncation and occlusion) it
+    is one where all are whole numbers of 0 or more, not all 0, and nothing after it is negative:
+    MOT15 has places there, x, y and z, or -1.
+    """
+    if rows.shape[1] <= CLASS or not len(rows):
+        return None
+    value = rows[:, CLASS]
+    if not (np.isfinite(value).all() and (value % 1 == 0).all() and value.any()):
+        return None
+    nine = rows.shape[1] == CLASS_COLUMNS
+    told = (value >= 0).any() if nine else (rows[:, CLASS:] >= 0).all()
+    return value.astype(np.int64) if told else None
+
+
+def check_classes(
+    path: Path, category: Int64[np.ndarray, " n"] | None, classes: Sequence[int]
+) -> None:
+    """ValueError where rows have classes and none of those wanted: an option that did nothing."""
+    if category is not None and not np.isin(category, classes).any():
+        there = ", ".join(map(str, np.unique(category).tolist()))
+        raise ValueError(f"classes: {path} has none of {list(classes)}; it has {there}")
 
 
 def check_identities(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
+from scipy.stats import rankdata
 
 from mixer_torch.datasets.simulated import Simulated
 from mixer_torch.observations import Observations
@@ -17,6 +18,8 @@ UNKNOWN = -2
 """Identity of a detection that counts neither as an object nor as clutter."""
 LONGEST_RUN = 40
 """Frames for which an object may be missing in what is made harder."""
+LONGEST_LIFE = 8
+"""Mean frames, at most, for which clutter that is added goes along with a thing."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Example:
     Args:
         sequence: The detections.
         measured: What was measured of it.
-        description: (n, 8) features of detections by themselves.
+        description: (n, d) features of detections by themselves.
         identity: (n,) the truth: -1 clutter, :data:`UNKNOWN` what does not count.
         frame_rate: Frames a second.
     """
@@ -43,8 +46,9 @@ def examples(
 ) -> list[Example]:
     """Measured and described stretches of a labelled sequence: one as it is, others made harder.
 
-    The others have every second or third frame only, noisier boxes, and detections that are
-    missing, some of them many frames in a row: a tracker meets all frame rates and detectors.
+    The others have every second or third frame only, noisier boxes, more clutter, and detections
+    that are missing, some of them many frames in a row: a tracker meets all frame rates and
+    detectors.
 
     Args:
         observations: With ``frame``, ``time``, ``box``, ``confidence`` where there is one, and
@@ -58,7 +62,9 @@ def examples(
     """
     rng = np.random.default_rng(seed)
     table = _table(observations)
-    span = table.time[-1] - table.time[0] if len(table.frame) else 0.0
+    if not len(table.frame):
+        return []
+    span = table.time[-1] - table.time[0]
     rate = (table.frame[-1] - table.frame[0]) / span if span > 0 else 1.0
     found = []
     for k in range(variants):
@@ -66,7 +72,7 @@ def examples(
         part = table.stretch(rows * stride, rng)
         if k:
             part = part.every(stride).noisy(_sometimes(rng, 0.06), rng)
-            part = part.gappy(_sometimes(rng, 0.4), rng)
+            part = part.cluttered(_sometimes(rng, 2.0), rng).gappy(_sometimes(rng, 0.4), rng)
         if len(part.frame):
             found.append(example(part, rate / stride))
     return found
@@ -119,6 +125,38 @@ class Table:
         size = np.sqrt(side.prod(1))[:, None]
         noise = np.clip(jitter * rng.normal(size=self.corners.shape), -0.2, 0.2)
         return replace(self, corners=self.corners + noise * np.minimum(size, side.min(1)[:, None]))
+
+    def cluttered(self, share: float, rng: np.random.Generator) -> Table:
+        """With false detections, so many as that share of the rows, as detectors with a long tail
+        of low scores have them: parts of a thing, or places beside it, that go along with it for a
+        while. Scores become places in the order of scores; those of clutter are mostly lower.
+        """
+        n = len(self.frame)
+        if not share or not n:
+            return self
+        life = rng.uniform(1, LONGEST_LIFE)
+        begin = rng.integers(0, n, rng.poisson(share * n / life))
+        length = rng.geometric(1 / life, len(begin))
+        run = np.repeat(np.arange(len(begin)), length)
+        place = begin[run] + np.arange(len(run)) - np.repeat(np.cumsum(length) - length, length)
+        order = np.lexsort((self.frame, self.identity))
+        same = place < n
+        same[same] = self.identity[order[place[same]]] == self.identity[order[begin[run[same]]]]
+        run, host = run[same], order[place[same]]
+        side = self.corners[host, 2:] - self.corners[host, :2]
+        on_it = rng.random(len(begin)) < 0.5
+        away = rng.normal(size=(len(begin), 2)) * np.where(on_it, 0.15, 1.5)[:, None]
+        scale = rng.uniform(0.4, 1.2, (len(begin), 2))
+        away, scale = (value[run] + 0.03 * rng.normal(size=side.shape) for value in (away, scale))
+        middle = self.corners[host, :2] + side * (0.5 + away)
+        box = np.concatenate([middle - side * scale / 2, middle + side * scale / 2], 1)
+        rank = rankdata(self.score) / n
+        level = rng.normal(rng.uniform(-0.6, 0.2), 0.25, len(begin))
+        low = level[run] + 0.1 * rng.normal(size=len(run))
+        both = (self.frame, self.time, self.corners, rank, self.identity)
+        false = (self.frame[host], self.time[host], box, low, np.full(len(host), -1))
+        together = Table(*(np.concatenate(pair) for pair in zip(both, false, strict=True)))
+        return together.select(np.argsort(together.frame, kind="stable"))
 
     def gappy(self, share: float, rng: np.random.Generator) -> Table:
         """Without a share of the rows: half of them at random, half in runs along identities."""

@@ -98,6 +98,7 @@ class Measured:
         camera: (T, 3) the similarity from the frame before: scale, and shift in boxes' units.
         links: How many pairs of boxes of successive frames these figures are of.
         unit: Pixels of the unit of length.
+        density: Detections a frame.
     """
 
     levels: Float64[np.ndarray, " k"]
@@ -110,6 +111,12 @@ class Measured:
     camera: Float64[np.ndarray, "T 3"] = field(repr=False)
     links: int
     unit: float
+    density: float = 0.0
+
+    @property
+    def alone(self) -> float:
+        """The share of the detections that go on in neither frame beside theirs."""
+        return self.clutter / max(self.density, 1e-9)
 
     @property
     def camera_moves(self) -> float:
@@ -125,6 +132,16 @@ class Measured:
         if len(self.levels) < 2:
             return np.full(len(score), 0.5)
         return np.interp(score, self.levels, (np.arange(len(self.levels)) + 0.5) / len(self.levels))
+
+    @property
+    def summary(self) -> str:
+        """One line of it."""
+        moves = f"camera moves in {self.camera_moves:.0%} of the frames"
+        camera = moves if self.camera_moves else "camera rests"
+        return (
+            f"{camera}, motion {self.motion:.3f} and jitter {self.jitter:.3f} of a box's size a "
+            f"frame, {self.clutter:.2f} detections a frame go on nowhere"
+        )
 
     def __str__(self) -> str:
         moves = self.camera[(self.camera != AT_REST).any(1)]
@@ -171,11 +188,13 @@ def measure(sequence: Sequence, camera: Float64[np.ndarray, "T 3"] | None = None
         means = meaning_of(sequence.score, levels, meaning)
         weight = np.clip(means, 0.02, 1) ** 2
     motion, change, jitter, links = motion_of(sequence, steps, forward, means > 0.6)
-    alone = float(((forward < 0) & (backward < 0)).sum()) / max(len(sequence.frames), 1)
+    count = max(len(sequence.frames), 1)
+    alone = float(((forward < 0) & (backward < 0)).sum()) / count
     goes_on = continuity(sequence, forward, backward)
     return Measured(
-        levels, meaning, motion, change, jitter, alone, goes_on, steps, links, sequence.unit
-    )
+        levels, meaning, motion, change, jitter, alone, goes_on, steps, links, sequence.unit,
+        n / count,
+    )  # fmt: skip
 
 
 def meaning_of(score: np.ndarray, levels: np.ndarray, meaning: np.ndarray) -> np.ndarray:

@@ -125,4 +125,5 @@ class Running:
         self.measured = Measured(
             levels, meaning, motion, change, jitter, alone,
             continuity(sequence, forward, backward), steps, links, self.measured.unit,
+            len(box) / len(seen),
         )  # fmt: skip

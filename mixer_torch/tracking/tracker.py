@@ -65,12 +65,13 @@ class Tracker(BaseTracker):
     association's ``stats["measured"]``: print it). Frame by frame, modalities (overlap,
     motion, edges, shape, score, and the ratio to the best rival) each give a calibrated log
     likelihood ratio for every pair of a track and a detection; their sum is assigned one to one.
-    Offline, the tracks are then joined over longer gaps, all at once, by MIXER. A track is an
-    object where its boxes together say so.
+    Offline, the tracks may then be joined over longer gaps, all at once, by MIXER (``joining``). A
+    track is an object where its boxes together say so.
 
     Args:
         linking: How detections are put on tracks.
-        joining: How tracks are joined over gaps; None for not at all.
+        joining: How tracks are joined over gaps, which is done offline alone; by default they are
+            not.
         post: What is done to the tracks of objects.
         online: Decide frame by frame: what was said of a frame never changes.
         camera: How the camera moves: None to see it in the boxes, a :class:`CameraMotion` to see it
@@ -184,10 +185,18 @@ class Tracker(BaseTracker):
         Args:
             detections: What a detector found in the next frame; frames without any count, too.
 
+        Only boxes are looked at: ``camera`` and ``scorers`` need whole observations.
+
         Raises:
-            ValueError: The tracker was made without ``frame_rate``.
+            ValueError: The tracker was made without ``frame_rate``, or with ``camera`` or
+                ``scorers``.
         """
         if self._stream is None:
+            for name in ("camera", "scorers"):
+                if getattr(self, name):
+                    raise ValueError(
+                        f"{name}: update() looks at boxes alone; use associate() with online=True"
+                    )
             if self.frame_rate is None:
                 raise ValueError(
                     "frame_rate: expected frames a second, got none: Tracker(frame_rate=30).update"

@@ -7,9 +7,7 @@ from collections.abc import Sequence as Listed
 from dataclasses import replace
 
 import numpy as np
-import torch
-from jaxtyping import Float64, Int64
-from torch import Tensor, nn
+from jaxtyping import Int64
 
 from mixer_torch.tracking.evidence import (
     CONTEXT,
@@ -21,6 +19,7 @@ from mixer_torch.tracking.evidence import (
     compared,
 )
 from mixer_torch.tracking.examples import UNKNOWN, Example
+from mixer_torch.tracking.fitting import fit
 from mixer_torch.tracking.following import (
     DETECTION,
     Follower,
@@ -33,7 +32,7 @@ from mixer_torch.tracking.joining import JOIN, at_rest, ends
 from mixer_torch.tracking.measured import Measured
 from mixer_torch.tracking.objects import TRACK, Boxes, numbered, track_features
 from mixer_torch.tracking.states import States
-from mixer_torch.tracking.weights import FARTHEST, Network, Weights, masks
+from mixer_torch.tracking.weights import Network, Weights
 
 EASY_IOU, EASY_SHARE = 0.05, 0.15
 """Pairs that differ and do not overlap are many: this share of them is kept, and weighs as all."""
@@ -135,7 +134,16 @@ def train(
         linking: How the tracker works that the weights are for.
         seed: Of the draws.
         progress: Told what is done.
+
+    Raises:
+        ValueError: There is no family, or one of which no two detections are known to be of one
+            object, or of two.
     """
+    if not families:
+        raise ValueError("families: expected at least one, got none")
+    for name, family in families.items():
+        if not family:
+            raise ValueError(f"families: expected examples of {name!r}, got none")
     linking = linking or Linking()
     generator = np.random.default_rng(seed)
     networks = {"objectness": _objectness(families, seed)}
@@ -288,13 +296,18 @@ def _pairs(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Features, features of rivals, whether the same, and weights, of pairs of all families."""
     columns: list[list[np.ndarray]] = [[], [], [], []]
-    for family in families.values():
+    for name, family in families.items():
         parts = [_recorded(one, weights, taught, linking, generator) for one in family]
         rows = [np.concatenate(part) for part in zip(*parts, strict=True)]
         if len(rows[2]) > MOST_ROWS:
             chosen = generator.choice(len(rows[2]), MOST_ROWS, replace=False)
             rows = [row[chosen] for row in rows]
-        rows[3] = rows[3] / max(rows[3][rows[2] == 1].sum(), 1e-9)
+        if not ((rows[2] == 1).any() and (rows[2] == 0).any()):
+            raise ValueError(
+                f"families: {name!r} has no two detections of one object, or none of two, in "
+                "frames close to each other; is its identity feature the truth?"
+            )
+        rows[3] = rows[3] / rows[3][rows[2] == 1].sum()
         for column, row in zip(columns, rows, strict=True):
             column.append(row)
     features, rivals, same, weight = (np.concatenate(column) for column in columns)
@@ -316,80 +329,3 @@ def _recorded(
     keep = (same >= 0) & (~easy | (generator.random(len(same)) < EASY_SHARE))
     weight = np.where(easy, 1 / EASY_SHARE, 1.0)
     return [features[keep], rivals[keep], same[keep], weight[keep]]
-
-
-def fit(
-    x: Float64[np.ndarray, "n f"],
-    same: np.ndarray,
-    weight: np.ndarray,
-    features: Listed[str],
-    modality: Listed[str],
-    units: int = 8,
-    epochs: int = 10,
-    decay: float = 1e-3,
-    seed: int = 0,
-) -> Network:
-    """Fit a network by weighted logistic regression, with AdamW.
-
-    Args:
-        x: Inputs.
-        same: (n,) 1 for one thing, 0 for two.
-        weight: (n,) of the rows.
-        features: Names of the inputs.
-        modality: Of each input.
-        units: Hidden units of each modality.
-        epochs: Passes through the rows.
-        decay: Weight decay.
-        seed: Of the draws.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    owner, mask = masks(modality, units)
-    mean, scale = x.mean(0), x.std(0) + 1e-3
-    z = torch.from_numpy(np.clip((x - mean) / scale, -FARTHEST, FARTHEST)).float()
-    y, w = (
-        torch.from_numpy(np.asarray(same)).float(),
-        torch.from_numpy(weight / weight.mean()).float(),
-    )
-    sees = torch.from_numpy(mask).float()
-    inputs, hidden = sees.shape
-    first = nn.Parameter(torch.randn(inputs, hidden, generator=generator) / inputs**0.5)
-    out = nn.Parameter(0.1 * torch.randn(hidden, generator=generator))
-    bias, linear = nn.Parameter(torch.zeros(hidden)), nn.Parameter(torch.zeros(inputs))
-    constant = nn.Parameter(torch.zeros(1))
-    parameters = [first, out, bias, linear, constant]
-
-    def logit(batch: Tensor) -> Tensor:
-        return torch.relu(batch @ (first * sees) + bias) @ out + batch @ linear + constant
-
-    _descend(parameters, logit, z, y, w, epochs, decay, generator)
-    inner, shift, outer, straight = (
-        p.detach().double().numpy() for p in (first * sees, bias, out, linear)
-    )
-    constants = tuple(features), tuple(modality), owner, mean, scale
-    return Network(*constants, inner, shift, outer, straight, float(constant.detach()))
-
-
-def _descend(
-    parameters: Listed[nn.Parameter],
-    logit: Callable[[Tensor], Tensor],
-    z: Tensor,
-    y: Tensor,
-    w: Tensor,
-    epochs: int,
-    decay: float,
-    generator: torch.Generator,
-    batch: int = 4096,
-    rate: float = 6e-3,
-) -> None:
-    """Minimise the weighted log loss, with a rate that rises and falls once."""
-    optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=decay)
-    steps = epochs * -(-len(z) // batch)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps + 1)
-    loss_of = nn.BCEWithLogitsLoss(reduction="none")
-    for _ in range(epochs):
-        for rows in torch.randperm(len(z), generator=generator).split(batch):
-            loss = (loss_of(logit(z[rows]), y[rows]) * w[rows]).mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()

@@ -50,6 +50,16 @@ class Network:
     linear: Float64[np.ndarray, " f"]
     bias: float
 
+    @classmethod
+    def silent(
+        cls, features: tuple[str, ...], modality: tuple[str, ...], owner: tuple[str, ...]
+    ) -> Network:
+        """One that says nothing: 0 of everything."""
+        f, h = len(features), len(owner)
+        zero = np.zeros(f)
+        unit = np.zeros((f, h)), np.zeros(h), np.zeros(h)
+        return cls(features, modality, owner, zero, np.ones(f), *unit, zero, 0.0)
+
     def __call__(self, x: Float64[np.ndarray, "P f"]) -> Float64[np.ndarray, " P"]:
         """(P,) log likelihood ratios, nats."""
         z = self._standardised(x)

@@ -28,7 +28,7 @@ from track_inputs import (
         (["here/walk", "there/walk"], "here/walk and there/walk are both called walk"),
         (["here/walk", "here/walk/."], "both called walk"),
         (["here/walk", "nowhere"], "nowhere: not found"),
-        (["here/walk", "own_tracker.py"], "expected folders, got the file own_tracker.py"),
+        (["here/walk", "own_tracker.py"], "a folder, or a file in .txt, .json, .csv, .tsv"),
         (["here/walk", "here"], "here/det/det.txt does not exist"),
         (["here/walk", "broken"], "broken/det/det.txt, line 2: expected a number, got 'x'"),
         (["here/walk", "--out", "own_tracker.py"], "expected a folder, got the file own_tracker"),
