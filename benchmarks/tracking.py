@@ -33,7 +33,7 @@ from mixer_torch.io.tracks import read_mot_truth
 from mixer_torch.metrics.tracking import evaluate_sequences
 from mixer_torch.tracking import Tracker
 from mixer_torch.tracking.examples import simulated
-from mixer_torch.tracking.own import SCENES, Labelled
+from mixer_torch.tracking.own import LEAST_OVERLAP, SCENES, Labelled
 from mixer_torch.tracking.training import train
 from mixer_torch.tracking.weights import Weights
 from mixer_torch.tracks import Tracks
@@ -62,7 +62,7 @@ class Scene:
     """One sequence: what trackers see, and what is true."""
 
     def __init__(self, folder):
-        self.name = folder.name
+        self.folder, self.name = folder, folder.name
         self.blind = MOTChallenge(folder, pixels=False, truth=False, repair=True).load()
         self.seen = MOTChallenge(folder, pixels=False, repair=True).load()
         self.truth = read_mot_truth(folder / "gt" / "gt.txt")
@@ -70,7 +70,8 @@ class Scene:
         self.frames = frames or int(max(self.seen["frame"].max(), self.truth.tracks.frame.max()))
 
     def to_learn_from(self, seed):
-        return Labelled(self.seen, self.truth).to_learn_from(seed)
+        dataset = MOTChallenge(self.folder, pixels=False, repair=True, min_overlap=LEAST_OVERLAP)
+        return Labelled(dataset.load(), self.truth).to_learn_from(seed)
 
 
 def measured(families):

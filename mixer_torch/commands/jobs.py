@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from mixer_torch.datasets.coco import COCO
 from mixer_torch.datasets.motchallenge import MOTChallenge
 from mixer_torch.datasets.table import Table
 from mixer_torch.io.files import find
-from mixer_torch.io.frames import NumberedFrames
+from mixer_torch.io.frames import NumberedFrames, plain_frames
 from mixer_torch.io.table_tracks import SUFFIXES as TABLES
 from mixer_torch.io.tracks import MotTruth, read_mot_truth
 from mixer_torch.observations import Observations
@@ -57,7 +57,7 @@ class Job:
         frame_rate: Frames a second.
         notes: Remarks for the user on how it was read.
         last: The last frame of the sequence, if that is known.
-        frames: Frames for a video; None for no video.
+        frames: For a video; None for no video.
         truth: The file of the truth, where there is one in MOTChallenge's layout.
     """
 
@@ -71,12 +71,13 @@ class Job:
     truth: Path | None = None
 
     @property
-    def length(self) -> int:
-        """Number of frames that were chosen, those without detections included."""
+    def numbers(self) -> np.ndarray:
+        """The frames that were chosen, those without detections included."""
         frame = self.observations["frame"]
         first = min(int(frame.min()), 1) if len(frame) else 1
         last = max(int(frame.max()) if len(frame) else 0, self.last or 0)
-        return int(self.range.contains(np.arange(first, last + 1)).sum())
+        every = np.arange(first, last + 1)
+        return every[self.range.contains(every)]
 
     def read_truth(self, classes: Sequence[int]) -> tuple[MotTruth, Tracks] | None:
         """The truth, and its part in the frames chosen; None without any.
@@ -143,14 +144,24 @@ def read_job(name: str, path: Path, options: Options, video: bool) -> Job:
         )
     dataset = MOTChallenge(path, truth=False, **given)
     observations, repaired = dataset.read()
-    frames = dataset.frames() if video else None
-    if video and not frames:
-        notes.append(f"{name}: no video, as there are no frames")
     info, truth = dataset.info(), dataset.folder / "gt" / "gt.txt"
-    return Job(
-        name, observations, dataset.range, info.frame_rate, notes + repaired, info.length, frames,
-        truth if truth.is_file() else None,
+    job = Job(
+        name, observations, dataset.range, info.frame_rate, notes + repaired, info.length,
+        dataset.frames() if video else None, truth if truth.is_file() else None,
     )  # fmt: skip
+    size = (info.height, info.width) if info.height and info.width else None
+    return _with_frames(job, size) if video else job
+
+
+def _with_frames(job: Job, size: tuple[int, int] | None) -> Job:
+    """A job that has frames for a video, be they plain."""
+    if job.frames:
+        return job
+    if not len(job.numbers):
+        return replace(job, notes=[*job.notes, f"{job.name}: no video, as there is no frame"])
+    notes = [*job.notes, f"{job.name}: no frames, so the video has a plain ground"]
+    box = job.observations["box"].cpu().numpy()
+    return replace(job, frames=plain_frames(job.numbers, box, size), notes=notes)
 
 
 def _of_file(name: str, path: Path, options: Options, video: bool) -> Job:
@@ -166,11 +177,10 @@ def _of_file(name: str, path: Path, options: Options, video: bool) -> Job:
         features["time"] = seen["frame"].double() / rate
         if options.frame_rate is None:
             notes.append(f"{name}: {rate:g} frames per second; see --frame_rate")
-    if video:
-        notes.append(f"{name}: no video, as there are no frames beside a file of detections")
     hidden = Observations(seen.view, features, seen.images)
     chosen = FrameRange(options.start, options.stop, options.step)
-    return Job(name, hidden, chosen, rate, notes)
+    job = Job(name, hidden, chosen, rate, notes)
+    return _with_frames(job, None) if video else job
 
 
 def _of_table(path: Path, options: Options) -> Observations:

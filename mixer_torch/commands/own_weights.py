@@ -10,7 +10,7 @@ from mixer_torch.datasets.motchallenge import MOTChallenge
 from mixer_torch.io.files import atomic_write
 from mixer_torch.io.tracks import read_mot_truth
 from mixer_torch.scoring import Progress
-from mixer_torch.tracking.own import METRICS, Labelled, learn, mean_gain
+from mixer_torch.tracking.own import LEAST_OVERLAP, METRICS, Labelled, learn, mean_gain
 
 BETTER = "use them: Tracker(weights={file!r})"
 NOT_BETTER = "they are not better in both, so the shipped ones are the safer choice"
@@ -41,7 +41,12 @@ def own_weights(
     labelled = {}
     for name, path in sources.items():
         dataset = MOTChallenge(
-            path, pixels=False, repair=True, classes=classes, frame_rate=frame_rate
+            path,
+            pixels=False,
+            repair=True,
+            classes=classes,
+            frame_rate=frame_rate,
+            min_overlap=LEAST_OVERLAP,
         )
         truth = read_mot_truth(dataset.folder / "gt" / "gt.txt", classes)
         labelled[name] = Labelled(dataset.read()[0], truth)

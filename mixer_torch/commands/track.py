@@ -71,7 +71,7 @@ def track(
         frame_rate: Frames per second where there is no seqinfo.ini to say it; 30 if null.
         repair: Leave out malformed lines of det.txt, with a note; if false, they are errors.
         format: Of the results: mot (txt, as MOTChallenge has it), coco (json), csv or parquet.
-        video: Write SEQUENCE.mp4, too, where there are frames.
+        video: Write SEQUENCE.mp4, too: the frames, or a plain ground where there are none.
         train: Learn weights for a tracker from these sequences and their truth, print what they
             gain on sequences held out, and write them to this .safetensors file; nothing else.
         device: Where to score and solve: cpu, cuda, or cuda:1 and so on.
@@ -279,7 +279,7 @@ def _table(
     for job in jobs:
         outcome = outcomes[job.name]
         found = len(np.unique(outcome.tracks.identity))
-        counts = np.array([job.length, len(job.observations), found, outcome.seconds])
+        counts = np.array([len(job.numbers), len(job.observations), found, outcome.seconds])
         sums += counts
         cells = [*_cells(counts), *_measured(metrics, job.name)]
         rows.append([job.name, *cells, outcome.association.status.value])

@@ -45,7 +45,7 @@ def fit_homography(path: Path) -> Float64[np.ndarray, "3 3"]:
         ValueError: It is malformed, has positions of fewer than four boxes, or they are those of
             no homography (the camera moved), or of several (they lie on a line).
     """
-    rows = read_truth(path)
+    rows = read_truth(path, classes=None)
     if rows.shape[1] < COLUMNS:
         raise ValueError(
             f"{path}: expected ground positions X, Y in columns 8 and 9 of {COLUMNS}, "

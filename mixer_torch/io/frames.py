@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float, Int64
 
 from mixer_torch.observations import FolderFrames, VideoFrames
 
 VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
+PLAIN = 32  # brightness of frames without pixels: boxes of all colours stand out
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 
 
@@ -40,6 +42,45 @@ class NumberedFrames:
         if (found == len(self)).any() or (self.number[found] != frame).any():
             return None
         return self.place[found]
+
+
+class PlainFrames(Sequence[Any]):
+    """Frames of one grey, to draw boxes on where there are no pixels.
+
+    Args:
+        total: How many.
+        height: Of a frame, pixels.
+        width: Of a frame, pixels.
+    """
+
+    def __init__(self, total: int, height: int, width: int) -> None:
+        self.total = total
+        self.frame = np.full((height, width, 3), PLAIN, dtype=np.uint8)
+
+    def __len__(self) -> int:
+        return self.total
+
+    def __getitem__(self, index: Any) -> Any:
+        if not -self.total <= index < self.total:
+            raise IndexError(f"index: expected one under {self.total}, got {index}")
+        return self.frame
+
+
+def plain_frames(
+    number: Int64[np.ndarray, " n"], box: Float[np.ndarray, "m 4"], size: tuple[int, int] | None
+) -> NumberedFrames:
+    """Plain frames with room for all boxes.
+
+    Args:
+        number: Their numbers.
+        box: (m, 4) x1 y1 x2 y2 pixels.
+        size: Height and width where they are known.
+    """
+    if size is None:
+        right, bottom = np.nan_to_num(box[:, 2:]).max(0, initial=1.0)
+        size = math.ceil(bottom), math.ceil(right)
+    height, width = (side + side % 2 for side in size)  # encoders want even sides
+    return NumberedFrames(number, np.arange(len(number)), PlainFrames(len(number), height, width))
 
 
 def find_frames(

@@ -108,8 +108,11 @@ def read_table(path: Path) -> tuple[Float64[np.ndarray, "n columns"], Int64[np.n
     return rows, number
 
 
-def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray, "n columns"]:
-    """Read the lines of ``gt.txt`` that count: not to be ignored, and of a class to keep.
+def read_truth(
+    path: Path, classes: Sequence[int] | None = (1,)
+) -> Float64[np.ndarray, "n columns"]:
+    """Read the lines of ``gt.txt`` that count: not to be ignored, and of a class to keep; None
+    where the columns after the flag are places, whatever they look like.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -117,9 +120,9 @@ def read_truth(path: Path, classes: Sequence[int] = (1,)) -> Float64[np.ndarray,
     """
     rows, number = read_table(path)
     keep = rows[:, 6] != 0
-    category = classes_of(rows)
-    check_classes(path, category, classes)
-    if category is not None:
+    category = None if classes is None else classes_of(rows)
+    if classes is not None and category is not None:
+        check_classes(path, category, classes)
         keep &= np.isin(category, classes)
     rows, number = rows[keep], number[keep]
     check_identities(path, number, rows)

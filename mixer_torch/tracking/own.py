@@ -22,6 +22,9 @@ SCENES = 48
 """Simulated scenes that are learned from beside one's own data, which may be little."""
 VARIANTS = 3
 """Stretches of each sequence: one as it is, two made harder."""
+LEAST_OVERLAP = 0.3
+"""Intersection over union from which a detection is an object, to learn from. At the 0.5 of the
+metrics a loose box would be clutter and its object lost, from one frame to the next."""
 METRICS = ("HOTA", "IDF1")
 MOST_PARTS = 3
 """Parts that the sequences are divided into, each to be judged by what the others taught."""
@@ -32,7 +35,8 @@ class Labelled:
     """A sequence of which the truth is known.
 
     Args:
-        observations: The detections, with ``identity`` by the truth: -1 for clutter.
+        observations: The detections, with ``identity`` by the truth, at :data:`LEAST_OVERLAP`: -1
+            for clutter.
         truth: Its truth.
     """
 

@@ -19,10 +19,11 @@ from mixer_torch.tracking.appearance import ScorerEvidence
 from mixer_torch.tracking.base import BaseTracker
 from mixer_torch.tracking.camera_motion import CameraMotion
 from mixer_torch.tracking.camera_path import CameraPath, frames_and_cameras, path_of_steps, steps_of
-from mixer_torch.tracking.following import Follower, Linking
-from mixer_torch.tracking.joining import Joining, joined
+from mixer_torch.tracking.evidence import FEATURES
+from mixer_torch.tracking.following import DETECTION, Follower, Linking
+from mixer_torch.tracking.joining import JOIN, Joining, joined
 from mixer_torch.tracking.measured import Measured, Sequence
-from mixer_torch.tracking.objects import Boxes, numbered, track_features
+from mixer_torch.tracking.objects import TRACK, Boxes, numbered, track_features
 from mixer_torch.tracking.passes import follow_online, follow_whole
 from mixer_torch.tracking.postprocessing import (
     PostProcessing,
@@ -34,6 +35,8 @@ from mixer_torch.tracking.stream import Stream
 from mixer_torch.tracking.weights import Weights
 from mixer_torch.tracks import Tracks
 
+INPUTS = {"objectness": DETECTION, "evidence": FEATURES, "joins": JOIN, "tracks": TRACK}
+"""What the networks of the weights have to be learned on."""
 MANY_DROPPED = 0.5
 """Share of the detections that are probably objects, from which dropping them is worth a word."""
 
@@ -110,6 +113,7 @@ class Tracker(BaseTracker):
         if weights is None:
             weights = Weights.shipped()
         self.weights = weights if isinstance(weights, Weights) else Weights.load(weights)
+        self.weights.check(INPUTS)
         self.across_categories = across_categories
         self.frame_rate = frame_rate
         self._stream: Stream | None = None

@@ -152,15 +152,15 @@ def train(
     def rows(taught: bool, weights: Weights) -> tuple[np.ndarray, ...]:
         return _pairs(families, weights, taught, linking, generator)
 
-    features, _, same, weight = rows(True, Weights(networks))
-    networks["evidence"] = _fit_evidence(features, same, weight, seed)
-    progress(f"evidence, on {len(same)} pairs along true tracks")
-    features, _, same, weight = _both(rows, Weights(networks))
+    true = rows(True, Weights(networks))
+    networks["evidence"] = _fit_evidence(true[0], true[2], true[3], seed)
+    progress(f"evidence, on {len(true[2])} pairs along true tracks")
+    features, _, same, weight = _together(true, rows(False, Weights(networks)))
     networks["evidence"] = _fit_evidence(features, same, weight, seed)
     progress(f"evidence, on {len(same)} pairs along its own tracks, too")
     names = (*MODALITIES["rivals"], *CONTEXT)
     modality = ["rivals"] * len(MODALITIES["rivals"]) + ["context"] * len(CONTEXT)
-    _, rivals, same, weight = _both(rows, Weights(networks))
+    _, rivals, same, weight = _together(*(rows(way, Weights(networks)) for way in (True, False)))
     networks["rivals"] = fit(rivals, same, weight, names, modality, seed=seed)
     progress("rivals")
     short = replace(linking, longest_unseen=SHORT_WAIT, fewest_unseen=FEWEST_WAITED)
@@ -171,11 +171,8 @@ def train(
     return Weights(networks)
 
 
-def _both(
-    rows: Callable[[bool, Weights], tuple[np.ndarray, ...]], weights: Weights
-) -> tuple[np.ndarray, ...]:
+def _together(*parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """Pairs along true tracks and along the tracker's own ones."""
-    parts = [rows(taught, weights) for taught in (True, False)]
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
 

@@ -100,6 +100,17 @@ class Weights:
     def __getitem__(self, name: str) -> Network:
         return self.networks[name]
 
+    def check(self, inputs: Mapping[str, tuple[str, ...]]) -> None:
+        """ValueError where a network is missing, or was learned on other inputs than these."""
+        for name, features in inputs.items():
+            if name not in self.networks:
+                raise ValueError(f"weights: expected a network {name!r}, which is missing")
+            if self.networks[name].features != features:
+                raise ValueError(
+                    f"weights: network {name!r} was learned on other inputs than this version of "
+                    "mixer-torch has; learn it anew (mixer track --train)"
+                )
+
     def save(self, path: str | Path) -> None:
         """Write a safetensors file; what is not a tensor is in its metadata."""
         from safetensors.numpy import save_file

@@ -133,13 +133,16 @@ def test_other_formats_hold_the_same(track, name, suffix):
     np.testing.assert_allclose(one.confidence, other.confidence, rtol=1e-6)
 
 
-def test_videos_where_there_are_frames(track):
+def test_videos_with_frames_and_without(track):
     write_frames(write_sequence("walk", lines([2, 3])), 5)
     write_sequence("blind")
     code, out, err = track("walk", "blind", "--out", "out", "--video")
     assert code == 0, err
-    assert files_in("out") == {"walk.txt", "walk.mp4", "blind.txt", "config.yaml"}
-    assert "note: blind: no video, as there are no frames" in out
+    assert files_in("out") == {"walk.txt", "walk.mp4", "blind.txt", "blind.mp4", "config.yaml"}
+    assert "note: blind: no frames, so the video has a plain ground" in out
+    plain = VideoFrames("out/blind.mp4")
+    assert (len(plain), plain[0].shape) == (5, (240, 320, 3))
+    assert plain[0][120:200].std() < 8 < plain[0].std()
     assert "video: out/walk.mp4" in out
     frames = VideoFrames("out/walk.mp4")
     assert len(frames) == 5
