@@ -231,7 +231,7 @@ def test_an_error_on_the_way_leaves_what_was_finished(track):
     code, _, err = track("a", "b", "--out", "out", "--video")
     assert code == 2
     assert "b/img1/000003.png does not decode" in err
-    assert files_in("out") == {"a.txt", "b.txt", "config.yaml"}
+    assert files_in("out") == {"a.txt", "a.mp4", "b.txt", "config.yaml"}
 
 
 def test_what_a_tracker_cannot_do_names_the_sequence(track):
