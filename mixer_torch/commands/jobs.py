@@ -58,6 +58,7 @@ class Job:
         notes: Remarks for the user on how it was read.
         last: The last frame of the sequence, if that is known.
         frames: For a video; None for no video.
+        files: What was read, and must not be written to.
         truth: The file of the truth, where there is one in MOTChallenge's layout.
     """
 
@@ -68,6 +69,7 @@ class Job:
     notes: list[str]
     last: int | None = None
     frames: NumberedFrames | None = None
+    files: tuple[Path, ...] = ()
     truth: Path | None = None
 
     @property
@@ -89,6 +91,14 @@ class Job:
             return None
         truth = read_mot_truth(self.truth, classes)
         return truth, truth.tracks.select(self.range.contains(truth.tracks.frame))
+
+
+def check_outputs(jobs: Sequence[Job], results: Sequence[Path]) -> None:
+    """ValueError where a result would be written over what was read, also through a link."""
+    read = {file.resolve() for job in jobs for file in job.files}
+    for result in results:
+        if result.resolve() in read:
+            raise ValueError(f"out: {result} is read, and would be written over; choose another")
 
 
 def named(sequences: Sequence[Path]) -> dict[str, Path]:
@@ -147,7 +157,8 @@ def read_job(name: str, path: Path, options: Options, video: bool) -> Job:
     info, truth = dataset.info(), dataset.folder / "gt" / "gt.txt"
     job = Job(
         name, observations, dataset.range, info.frame_rate, notes + repaired, info.length,
-        dataset.frames() if video else None, truth if truth.is_file() else None,
+        dataset.frames() if video else None, (dataset.detection_file, truth),
+        truth if truth.is_file() else None,
     )  # fmt: skip
     size = (info.height, info.width) if info.height and info.width else None
     return _with_frames(job, size) if video else job
@@ -157,11 +168,14 @@ def _with_frames(job: Job, size: tuple[int, int] | None) -> Job:
     """A job that has frames for a video, be they plain."""
     if job.frames:
         return job
-    if not len(job.numbers):
-        return replace(job, notes=[*job.notes, f"{job.name}: no video, as there is no frame"])
-    notes = [*job.notes, f"{job.name}: no frames, so the video has a plain ground"]
-    box = job.observations["box"].cpu().numpy()
-    return replace(job, frames=plain_frames(job.numbers, box, size), notes=notes)
+    frames = plain_frames(job.numbers, job.observations["box"].cpu().numpy(), size)
+    if frames:
+        note = "no frames, so the video has a plain ground"
+    elif len(job.numbers):
+        note = "no video, as boxes reach further than any picture does"
+    else:
+        note = "no video, as there is no frame"
+    return replace(job, frames=frames or None, notes=[*job.notes, f"{job.name}: {note}"])
 
 
 def _of_file(name: str, path: Path, options: Options, video: bool) -> Job:
@@ -179,7 +193,7 @@ def _of_file(name: str, path: Path, options: Options, video: bool) -> Job:
             notes.append(f"{name}: {rate:g} frames per second; see --frame_rate")
     hidden = Observations(seen.view, features, seen.images)
     chosen = FrameRange(options.start, options.stop, options.step)
-    job = Job(name, hidden, chosen, rate, notes)
+    job = Job(name, hidden, chosen, rate, notes, files=(path,))
     return _with_frames(job, None) if video else job
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from mixer_torch.commands.jobs import FRAME_RATE, TEXT, Options
 from mixer_torch.commands.text import listing, table
 from mixer_torch.datasets.motchallenge import MOTChallenge
-from mixer_torch.io.files import atomic_write
+from mixer_torch.io.files import atomic_write, check_folder
 from mixer_torch.io.tracks import read_mot_truth
 from mixer_torch.scoring import Progress
 from mixer_torch.tracking.own import LEAST_OVERLAP, METRICS, Labelled, learn, mean_gain
@@ -19,7 +21,7 @@ NOT_BETTER = "they are not better in both, so the shipped ones are the safer cho
 def own_weights(
     sources: Mapping[str, Path],
     classes: Sequence[int],
-    frame_rate: float | None,
+    options: Options,
     file: Path,
     progress: Progress,
 ) -> str:
@@ -28,7 +30,7 @@ def own_weights(
     Args:
         sources: Sequences with truth, by name.
         classes: Classes to find.
-        frame_rate: Frames a second where a sequence does not say.
+        options: How to read them; pixels are not looked at.
         file: To be written.
         progress: Told what is done.
 
@@ -38,19 +40,10 @@ def own_weights(
     """
     if file.suffix != ".safetensors":
         raise ValueError(f"train: expected the name of a .safetensors file, got {file}")
-    labelled = {}
-    for name, path in sources.items():
-        dataset = MOTChallenge(
-            path,
-            pixels=False,
-            repair=True,
-            classes=classes,
-            frame_rate=frame_rate,
-            min_overlap=LEAST_OVERLAP,
-        )
-        truth = read_mot_truth(dataset.folder / "gt" / "gt.txt", classes)
-        labelled[name] = Labelled(dataset.read()[0], truth)
+    check_folder(file.parent)
+    labelled = {name: _labelled(path, classes, options) for name, path in sources.items()}
     weights, gains = learn(labelled, progress=progress)
+    file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(file) as partial:
         weights.save(partial)
     rows = [
@@ -67,3 +60,17 @@ def own_weights(
         "own weights: " + (BETTER.format(file=str(file)) if better else NOT_BETTER),
     ]
     return "\n".join([*lines, *listing(file.parent, [file.name])])
+
+
+def _labelled(path: Path, classes: Sequence[int], options: Options) -> Labelled:
+    """A sequence in the layout of MOTChallenge, and its truth in the frames chosen."""
+    if path.is_file() and path.suffix.lower() not in TEXT:
+        raise ValueError(f"train: expected sequences with gt/gt.txt beside them, got {path}")
+    given = options.only(*vars(options)) | {
+        "pixels": False,
+        "frame_rate": options.frame_rate or FRAME_RATE,
+    }
+    dataset = MOTChallenge(path, classes=classes, min_overlap=LEAST_OVERLAP, **given)
+    truth = read_mot_truth(dataset.folder / "gt" / "gt.txt", classes)
+    counted = truth.tracks.select(dataset.chosen(truth.tracks.frame))
+    return Labelled(dataset.read()[0], replace(truth, tracks=counted))

@@ -13,7 +13,7 @@ import torch
 
 from mixer_torch.association import Association
 from mixer_torch.commands.associate import device_named
-from mixer_torch.commands.jobs import Job, Options, named, read_job
+from mixer_torch.commands.jobs import Job, Options, check_outputs, named, read_job
 from mixer_torch.commands.own_weights import own_weights
 from mixer_torch.commands.text import listing, table
 from mixer_torch.io.files import atomic_write, check_folder
@@ -79,13 +79,14 @@ def track(
         progress: Called with stage, number done and total while the work goes on.
     """
     sources = named(sequences)
+    options = Options(start, stop, step, min_confidence, pixels, frame_rate, repair)
     if train is not None:
-        return own_weights(sources, classes, frame_rate, train, progress)
+        return own_weights(sources, classes, options, train, progress)
     tracker = tracker or Tracker()
     place = device_named(device)
     check_folder(out)
-    options = Options(start, stop, step, min_confidence, pixels, frame_rate, repair)
     jobs = [read_job(name, path, options, video) for name, path in sources.items()]
+    check_outputs(jobs, [out / f"{job.name}{SUFFIX[format]}" for job in jobs])
     truths, unreadable = _checked(jobs, format, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")

@@ -139,9 +139,9 @@ class MOTChallenge(Dataset):
             "box": box.astype(np.float32),
             "confidence": rows[:, 6].astype(np.float32),
         }
-        category = classes_of(rows)
+        category = classes_of(table)
         if category is not None:
-            features["category"] = category
+            features["category"] = category[chosen]
         if identity is not None:
             features["identity"] = identity
         features |= self._places(folder, info, table, chosen)

@@ -15,6 +15,7 @@ from mixer_torch.observations import FolderFrames, VideoFrames
 
 VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")
 PLAIN = 32  # brightness of frames without pixels: boxes of all colours stand out
+LARGEST_SIDE = 8192  # pixels of a frame without pixels: that of 8K video
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 
 
@@ -69,7 +70,7 @@ class PlainFrames(Sequence[Any]):
 def plain_frames(
     number: Int64[np.ndarray, " n"], box: Float[np.ndarray, "m 4"], size: tuple[int, int] | None
 ) -> NumberedFrames:
-    """Plain frames with room for all boxes.
+    """Plain frames with room for all boxes; none where these reach further than any picture.
 
     Args:
         number: Their numbers.
@@ -78,6 +79,8 @@ def plain_frames(
     """
     if size is None:
         right, bottom = np.nan_to_num(box[:, 2:]).max(0, initial=1.0)
+        if max(right, bottom) > LARGEST_SIDE:
+            return NumberedFrames(number[:0], number[:0], PlainFrames(0, 2, 2))
         size = math.ceil(bottom), math.ceil(right)
     height, width = (side + side % 2 for side in size)  # encoders want even sides
     return NumberedFrames(number, np.arange(len(number)), PlainFrames(len(number), height, width))

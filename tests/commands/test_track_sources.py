@@ -161,3 +161,50 @@ def test_weights_of_ones_own_and_what_they_gain(track, monkeypatch):
     assert "mean gain on sequences held out: " in out
     assert Weights.load("own.safetensors").card["families"][0] == "own: a, b"
     assert files_in(".") == {"a", "b", "own.safetensors", "own_tracker.py", "lanes.yaml"}
+
+
+@pytest.mark.parametrize(("source", "out"), [("det/walk.txt", "det"), ("linked/walk.txt", "det")])
+def test_what_is_read_is_not_written_over(track, source, out):
+    folder = write_sequence("folder")
+    Path("det").mkdir()
+    text = (folder / "det" / "det.txt").read_text()
+    Path("det/walk.txt").write_text(text)
+    Path("linked").symlink_to("det")
+    code, _, err = track(source, "--out", out)
+    assert code == 2
+    assert "out: det/walk.txt is read, and would be written over" in err
+    assert Path("det/walk.txt").read_text() == text
+    assert files_in("det") == {"walk.txt"}
+
+
+def test_boxes_that_no_picture_has_room_for_have_no_video(track):
+    frame = [f for f, _, _ in boxes()]
+    write_table("far.csv", x2=[1e7 + f for f in frame])
+    code, out, err = track("far.csv", "--out", "out", "--video")
+    assert code == 0, err
+    assert "far: no video, as boxes reach further than any picture does" in out
+    assert files_in("out") == {"far.txt", "config.yaml"}
+
+
+def test_the_class_of_a_detection_does_not_depend_on_the_frames_chosen(track):
+    rows = [classed(line, 0 if k < 4 else 2, ["0", "0"]) for k, line in enumerate(lines())]
+    write_sequence("uav", rows)
+    assert track("uav", "--out", "out", "--stop", 2)[0] == 0
+    assert seen()[0]["category"].tolist() == [0] * 4
+
+
+@pytest.mark.parametrize(
+    ("sources", "message"),
+    [
+        (["a", "own.csv"], "train: expected sequences with gt/gt.txt beside them, got own.csv"),
+        (["a", "blind"], "blind/gt/gt.txt does not exist"),
+    ],
+)
+def test_weights_are_learned_from_what_has_truth(track, sources, message):
+    write_sequence("a", truth=true_lines())
+    write_sequence("blind")
+    write_table("own.csv")
+    code, _, err = track(*sources, "--train", "own.safetensors")
+    assert code == 2
+    assert message in err
+    assert not Path("own.safetensors").exists()
