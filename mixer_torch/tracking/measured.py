@@ -61,14 +61,16 @@ class Sequence:
         category: np.ndarray | None = None,
         unit: float | None = None,
     ) -> Sequence:
-        """From boxes x1 y1 x2 y2 in order of frames; all scores alike where there are none."""
+        """From boxes x1 y1 x2 y2 in order of frames; all scores alike where there are none, and a
+        score that is not known (NaN) is taken to be the middle one.
+        """
         n = len(frame)
         frames = np.arange(frame[0], frame[-1] + 1) if n else np.zeros(0, dtype=np.int64)
         start = np.append(np.searchsorted(frame, frames), n)
         box = centred(corners.astype(np.float64))
         if unit is None:
             unit = float(np.median(sizes(box))) if n else 1.0
-        score = np.ones(n) if score is None else np.asarray(score, dtype=np.float64)
+        score = np.ones(n) if score is None else known_scores(np.asarray(score, dtype=np.float64))
         category = np.zeros(n, dtype=np.int64) if category is None else category
         return cls(frames, start, box / unit, score, unit, category)
 
@@ -136,6 +138,8 @@ class Measured:
     @property
     def summary(self) -> str:
         """One line of it."""
+        if self.links < ENOUGH:
+            return "too few boxes go on to measure anything, so what is usual is taken"
         moves = f"camera moves in {self.camera_moves:.0%} of the frames"
         camera = moves if self.camera_moves else "camera rests"
         return (
@@ -170,6 +174,15 @@ class Measured:
                 f"measured  on {self.links:,} links of boxes of {self.unit:.0f} pixels",
             ]
         )
+
+
+def known_scores(score: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Scores of which those that are not known (NaN) are the median of the others."""
+    unknown = np.isnan(score)
+    if not unknown.any():
+        return score
+    middle = 1.0 if unknown.all() else float(np.median(score[~unknown]))
+    return np.where(unknown, middle, score)
 
 
 def measure(sequence: Sequence, camera: Float64[np.ndarray, "T 3"] | None = None) -> Measured:

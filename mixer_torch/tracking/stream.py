@@ -14,6 +14,7 @@ from mixer_torch.tracking.following import (
     described,
     odds_of_objects,
 )
+from mixer_torch.tracking.measured import known_scores
 from mixer_torch.tracking.objects import Boxes, track_features
 from mixer_torch.tracking.running import Running
 
@@ -49,7 +50,8 @@ class Stream:
             self.running = Running(float(np.median(sizes(centred(corners)))))
         unit = self.running.measured.unit
         confidence = detections.confidence
-        score = np.ones(n) if confidence is None else np.asarray(confidence, dtype=np.float64)
+        given = np.ones(n) if confidence is None else np.asarray(confidence, dtype=np.float64)
+        score = known_scores(given)
         kind = None if self.across_categories else detections.class_id
         category = np.zeros(n, dtype=np.int64) if kind is None else np.asarray(kind)
         identity = self._followed(centred(box[row]) / unit, score[row], category[row])

@@ -134,3 +134,10 @@ def test_continuations_are_mutual():
     row = np.flatnonzero(forward >= 0)
     assert (backward[forward[row]] == row).all()
     assert (sequence.frame[forward[row]] == sequence.frame[row] + 1).all()
+
+
+def test_a_line_says_where_there_was_nothing_to_measure():
+    one = Sequence.of(np.array([1]), np.array([[0.0, 0, 5, 9]]))
+    assert measure(one).summary.startswith("too few boxes")
+    walk = np.array([[k, 0.0, k + 5, 9] for k in range(40)])
+    assert measure(Sequence.of(np.arange(40), walk)).summary.startswith("camera")

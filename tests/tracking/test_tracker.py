@@ -91,6 +91,19 @@ def test_the_scale_of_scores_does_not_matter(seen, scale):
     assert agreement(Tracker().track(seen), Tracker().track(other)) > 0.95
 
 
+def test_a_score_that_is_not_known_is_the_middle_one(seen):
+    score = seen["confidence"].clone()
+    alone = torch.arange(len(score)) % 7 == 0
+    known = seen.with_features(confidence=score.where(~alone, score[~alone].double().median()))
+    unknown = seen.with_features(confidence=score.where(~alone, torch.nan))
+    none = seen.with_features(confidence=torch.full_like(score, torch.nan))
+    alike = seen.with_features(confidence=torch.ones_like(score))
+    for a, b in ((known, unknown), (none, alike)):
+        assert (
+            Tracker().associate(a).labels == Tracker().associate(b).labels
+        ).float().mean() > 0.99
+
+
 def test_scores_that_are_all_alike_still_give_tracks(seen, truth):
     alike = seen.with_features(confidence=torch.ones(len(seen)))
     assert evaluate_tracks(Tracker().track(alike), truth)["IDF1"] > 70
