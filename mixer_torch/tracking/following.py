@@ -26,6 +26,8 @@ DETECTION = (
     "covered",
     "size",
     "spread",
+    "weaker",
+    "alone",
 )
 """Features that tell whether a detection is an object, besides its track."""
 LARGEST_ODDS = 5.0
@@ -55,12 +57,12 @@ class Linking:
     fewest_unseen: int = 10
     link_odds: float = 3.0
     least_odds: float = 0.0
-    birth_odds: float = 1.5
+    birth_odds: float = 0.5
 
 
 def described(
     box: Float64[np.ndarray, "m 4"], score: np.ndarray, measured: Measured
-) -> Float64[np.ndarray, "m 8"]:
+) -> Float64[np.ndarray, "m d"]:
     """:data:`DETECTION` of the detections of one frame."""
     m = len(box)
     if not m:
@@ -78,9 +80,11 @@ def described(
     apart = np.hypot(*np.moveaxis(box[:, None, :2] - box[:, :2], 2, 0))
     near = (apart < NEIGHBOURHOOD * sizes(box)[:, None]).sum(1) - 1
     spread = float(np.ptp(measured.meaning)) if len(measured.meaning) else 0.0
+    logit = np.log(meaning + 0.02) - np.log(1.02 - meaning)
+    top = float(measured.meaning.max(initial=0.0)) if len(measured.meaning) else 0.0
     return np.column_stack(
         [
-            np.log(meaning + 0.02) - np.log(1.02 - meaning),
+            logit,
             rank - 0.5,
             (overlap * stronger).max(1),
             overlap.max(1),
@@ -88,6 +92,8 @@ def described(
             (covered * stronger).max(1),
             np.log(sizes(box)),
             np.full(m, spread),
+            np.log(top + 0.02) - np.log(1.02 - top) - logit,
+            np.full(m, measured.alone),
         ]
     )
 
@@ -193,7 +199,7 @@ def frame_of(
     sequence: Sequence,
     t: int,
     odds: Float64[np.ndarray, " m"],
-    description: Float64[np.ndarray, "m 8"],
+    description: Float64[np.ndarray, "m d"],
 ) -> Frame:
     """The detections of the t-th frame, with what they are by themselves."""
     rows = sequence.rows(t)

@@ -37,7 +37,8 @@ class Sequence:
     """Detections of one camera, in order of frames, in units of the median size of a box.
 
     Args:
-        frames: (T,) int64, every frame from the first to the last one.
+        frames: (T,) int64, every frame from the first to the last one; every second one alone, say,
+            where all frames with detections are so many apart or a multiple of it.
         start: (T + 1,) int64: rows start[t] to start[t + 1] - 1 are of frame t.
         box: (n, 4) float64 cx cy w h.
         score: (n,) float64, any scale on which more is better.
@@ -65,7 +66,9 @@ class Sequence:
         score that is not known (NaN) is taken to be the middle one.
         """
         n = len(frame)
-        frames = np.arange(frame[0], frame[-1] + 1) if n else np.zeros(0, dtype=np.int64)
+        frames = np.zeros(0, dtype=np.int64)
+        if n:
+            frames = np.arange(frame[0], frame[-1] + 1, common_step(frame))
         start = np.append(np.searchsorted(frame, frames), n)
         box = centred(corners.astype(np.float64))
         if unit is None:
@@ -73,6 +76,11 @@ class Sequence:
         score = np.ones(n) if score is None else known_scores(np.asarray(score, dtype=np.float64))
         category = np.zeros(n, dtype=np.int64) if category is None else category
         return cls(frames, start, box / unit, score, unit, category)
+
+    @property
+    def step(self) -> int:
+        """From one of ``frames`` to the next."""
+        return int(self.frames[1] - self.frames[0]) if len(self.frames) > 1 else 1
 
     @property
     def frame(self) -> Int64[np.ndarray, " n"]:
@@ -174,6 +182,15 @@ class Measured:
                 f"measured  on {self.links:,} links of boxes of {self.unit:.0f} pixels",
             ]
         )
+
+
+def common_step(frame: Int64[np.ndarray, " n"]) -> int:
+    """The largest step of which all frame numbers, ascending, are multiples apart.
+
+    Two frames alone say nothing of a step: it is 1.
+    """
+    apart = np.diff(np.unique(frame))
+    return int(np.gcd.reduce(apart)) if len(apart) > 1 else 1
 
 
 def known_scores(score: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:

@@ -57,25 +57,26 @@ def members(tracks: Tracks) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, 
     return order, np.concatenate([np.zeros(min(len(order), 1), int), np.cumsum(change)])
 
 
-def interpolated(tracks: Tracks, max_gap: float) -> Tracks:
+def interpolated(tracks: Tracks, max_gap: float, step: int = 1) -> Tracks:
     """Tracks with boxes in the frames that they miss, on a straight line between their neighbours.
 
     Args:
         tracks: What was found.
         max_gap: Frames between two neighbours, at most, for what is between them to be filled.
+        step: From one frame of the sequence to the next: no others are filled.
     """
     order, track = members(tracks)
     frame = tracks.frame[order]
-    missing = np.where(track[1:] == track[:-1], frame[1:] - frame[:-1] - 1, 0)
-    missing[missing + 1 > max_gap] = 0
+    apart = frame[1:] - frame[:-1]
+    missing = np.where((track[1:] == track[:-1]) & (apart <= max_gap), apart // step - 1, 0)
     before = np.repeat(np.arange(len(missing)), missing)
-    step = 1 + np.arange(len(before)) - np.repeat(np.cumsum(missing) - missing, missing)
+    place = 1 + np.arange(len(before)) - np.repeat(np.cumsum(missing) - missing, missing)
     left, right = order[before], order[before + 1]
-    share = step / (missing[before] + 1)
+    share = place / (missing[before] + 1)
     box = tracks.box[left] + share[:, None] * (tracks.box[right] - tracks.box[left])
     confidence = np.minimum(tracks.confidence[left], tracks.confidence[right])
     return Tracks(
-        np.concatenate([tracks.frame, tracks.frame[left] + step]),
+        np.concatenate([tracks.frame, tracks.frame[left] + place * step]),
         np.concatenate([tracks.identity, tracks.identity[left]]),
         np.concatenate([tracks.box, box]),
         np.concatenate([tracks.confidence, confidence]),

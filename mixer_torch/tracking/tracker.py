@@ -224,6 +224,7 @@ class Tracker(BaseTracker):
     ) -> Followed:
         """Follow what one camera saw."""
         sequence = self._sequence(observations, rows)
+        rate /= sequence.step
         steps = self._known_steps(observations, sequence, camera, progress)
         extra = ScorerEvidence(self.scorers, observations, rows) if self.scorers else None
         follower = Follower(self.weights, self.linking, rate, extra)
@@ -281,7 +282,7 @@ class Tracker(BaseTracker):
         steps = one.measured.camera.copy()
         steps[:, 1:] *= one.measured.unit
         path = path_of_steps(steps, camera, one.sequence.frames)
-        resting = interpolated(path.steadied(tracks), self.post.fill * rate)
+        resting = interpolated(path.steadied(tracks), self.post.fill * rate, one.sequence.step)
         width = self.post.smoothing * bandwidth(one.measured.jitter, one.measured.change)
         return path.restored(smoothed(resting, width))
 

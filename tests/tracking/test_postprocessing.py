@@ -38,6 +38,13 @@ def test_gaps_are_filled_on_a_straight_line():
     assert len(interpolated(holes.select([]), 5)) == 0
 
 
+def test_of_every_third_frame_no_others_are_filled():
+    full = line(range(0, 30, 3))
+    filled = interpolated(full.select([0, 1, 4, 9]), 9, step=3)
+    assert filled.frame.tolist() == [0, 3, 6, 9, 12, 27]
+    assert filled.box == pytest.approx(full.box[[0, 1, 2, 3, 4, 9]])
+
+
 def test_smoothing_keeps_straight_lines():
     tracks = joined(line([0, 1, 2, 5, 6, 11]), line(range(4), 2, speed=-3.0), line([7], 3))
     assert smoothed(tracks, 2.0).box == pytest.approx(tracks.box)

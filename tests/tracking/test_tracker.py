@@ -133,6 +133,16 @@ def test_half_the_frame_rate_follows_the_same_things(truth):
     )
 
 
+@pytest.mark.parametrize("online", [False, True])
+def test_every_third_frame_is_a_sequence_of_a_third_of_the_rate(seen, online):
+    third = seen.select((seen["frame"] - 1) % 3 == 0)
+    numbered = third.with_features(frame=(third["frame"] - 1) // 3 + 1)
+    a, b = (Tracker(online=online).track(one) for one in (third, numbered))
+    assert a.frame.tolist() == (3 * (b.frame - 1) + 1).tolist()
+    assert a.identity.tolist() == b.identity.tolist()
+    assert np.abs(a.box - b.box).max() < 1e-6
+
+
 def test_online_never_changes_what_it_said(seen):
     """The first half of a sequence gives the same links whether the second comes or not."""
     early = seen["frame"] <= 45
