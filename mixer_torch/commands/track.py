@@ -86,8 +86,7 @@ def track(
     place = device_named(device)
     check_folder(out)
     jobs = [read_job(name, path, options, video) for name, path in sources.items()]
-    check_outputs(jobs, [out / f"{job.name}{SUFFIX[format]}" for job in jobs])
-    truths, unreadable = _checked(jobs, format, classes)
+    truths, unreadable = _checked(jobs, format, out, classes)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.yaml").write_text(config, encoding="utf-8")
     outcomes = _track_all(jobs, tracker.to(place), place, out, SUFFIX[format], progress)
@@ -123,10 +122,11 @@ def _check_cameras(jobs: Sequence[Job], kind: str) -> None:
 
 
 def _checked(
-    jobs: Sequence[Job], kind: str, classes: Sequence[int]
+    jobs: Sequence[Job], kind: str, out: Path, classes: Sequence[int]
 ) -> tuple[dict[str, tuple[MotTruth, Tracks]], list[str]]:
     """The truth of each sequence that has one, and its part in the frames chosen; and notes."""
     _check_cameras(jobs, kind)
+    check_outputs(jobs, [out / f"{job.name}{SUFFIX[kind]}" for job in jobs])
     truths, notes = {}, []
     for job in jobs:
         try:

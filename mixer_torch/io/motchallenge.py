@@ -134,18 +134,18 @@ def classes_of(rows: Float64[np.ndarray, "n columns"]) -> Int64[np.ndarray, " n"
 
     In nine columns it is one (MOT16 and later: class and visibility), unless all are -1, which is
     "no value". In other numbers of columns it is one where all are whole numbers of 0 or more, not
-    all 0, and the ninth is a share (VisDrone has ten: class, truncation from 0 to 1, occlusion).
-    MOT15 has places there, x, y and z in metres, or -1.
+    all 0, the ninth is a share, and nothing after it is negative (VisDrone has ten: class,
+    truncation from 0 to 1, occlusion). MOT15 has places there, x, y and z in metres, or -1.
     """
     if rows.shape[1] <= CLASS or not len(rows):
         return None
-    value, after = rows[:, CLASS], rows[:, CLASS + 1 : CLASS + 2]
+    value, share = rows[:, CLASS], rows[:, CLASS + 1 : CLASS + 2]
     if not (np.isfinite(value).all() and (value % 1 == 0).all() and value.any()):
         return None
     if rows.shape[1] == CLASS_COLUMNS:
         told = (value >= 0).any()
     else:
-        told = (value >= 0).all() and ((after >= 0) & (after <= 1)).all()
+        told = (rows[:, CLASS:] >= 0).all() and (share <= 1).all()
     return value.astype(np.int64) if told else None
 
 
